@@ -99,7 +99,6 @@ def real_tactile() -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Headless Chromium."""
     with chromium() as opened:
         yield opened
 

@@ -55,7 +55,6 @@ def test_untouched_cells_do_not_count() -> None:
 
 @pytest.mark.parametrize("pieces", [None, list("aabc")])
 def test_fewer_than_four_pieces_have_no_coverage(pieces: list[str] | None) -> None:
-    """Three presses, or four of three pieces."""
     distances = PlaceDistances()
     for k in range(LEAST - 1 if pieces is None else 4):
         distances.add(np.full((1, 2, 2), k, np.float32), None, pieces[k] if pieces else None)

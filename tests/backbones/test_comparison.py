@@ -93,7 +93,6 @@ def _original(torch: Any, x: Any, last: int) -> Any:
 
 @pytest.mark.train
 def test_the_file_is_read_as_torch_reads_it(package: None) -> None:
-    """Every weight, bit for bit."""
     import torch
 
     file = next(one for one in distribution(PACKAGE).files or () if one.name == FILE)
@@ -112,7 +111,6 @@ def test_without_the_package_the_extra_is_named() -> None:
 
 
 def test_another_file_of_the_same_name_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The file is known by its hash."""
     info = tmp_path / "other_weights-1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other-weights\nVersion: 1\n")

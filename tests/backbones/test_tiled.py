@@ -146,7 +146,6 @@ def broken(change: str) -> bytes:
 def test_a_file_that_is_no_trunk_is_refused(
     tile: Callable[[bytes, Tiles], bytes], change: str, words: str
 ) -> None:
-    """In a sentence, whatever is wrong with it."""
     with pytest.raises(ConfigError, match=words):
         tile(broken(change), TILES)
 

@@ -34,6 +34,5 @@ def test_a_value_is_toml_or_else_text(text: str, value: object) -> None:
 @pytest.mark.parametrize("text", ["gain", "=3", "two words=3"])
 @pytest.mark.parametrize("option", ["--set", "--option"])
 def test_a_text_without_name_or_sign_is_refused(option: str, text: str) -> None:
-    """The refusal names the option and how to write it."""
     with pytest.raises(ConfigError, match=f"'{option} {text}' is not understood; write {option} name=value"):
         parse_values(option, [text])

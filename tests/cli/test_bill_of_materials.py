@@ -98,7 +98,6 @@ def test_the_number_follows_from_what_is_listed(bundle: Path, monkeypatch: pytes
 
 
 def test_what_cannot_be_listed_is_said(tmp_path: Path) -> None:
-    """A bundle that is not there, and a station that is elsewhere."""
     with pytest.raises(BundleError, match="nowhere"):
         bill_of_materials([tmp_path / "nowhere"])
     with pytest.raises(ConfigError, match="run it there"):

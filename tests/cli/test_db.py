@@ -26,14 +26,12 @@ def database(tmp_path: Path) -> Path:
 
 
 def test_a_sound_database_ends_with_0(database: Path) -> None:
-    """One line."""
     done = gelgate("db", "check", "--database", database)
 
     assert (done.code, done.out) == (0, f"ok     {database} is sound\n")
 
 
 def test_a_fault_is_printed_and_ends_with_1(database: Path) -> None:
-    """The line, then what to do."""
     execute(database, "UPDATE gels SET presses = 0")
     done = gelgate("db", "check", "--database", database)
 

@@ -91,7 +91,6 @@ def test_a_picture_that_home_assistant_will_not_have_is_said(
 
 
 def test_it_is_printed_or_written(config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The same text either way."""
     describe(config, Format.HOME_ASSISTANT)
     describe(config, Format.HOME_ASSISTANT, tmp_path / "device.json")
 

@@ -93,7 +93,6 @@ def test_record_from_images(tmp_path: Path) -> None:
     ],
 )
 def test_bad_input_is_one_sentence(words: str, code: int, says: str) -> None:
-    """Each mistake is named with what to do."""
     refused = gelgate(*words.split())
 
     assert (refused.code, says in refused.sentence()) == (code, True)

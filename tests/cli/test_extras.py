@@ -36,14 +36,12 @@ def test_a_verb_names_its_extra_before_it_begins(plain: Path, line: str) -> None
 
 
 def test_what_is_installed_is_not_refused() -> None:
-    """The check can pass."""
     needs("studies", "this test")
     with pytest.raises(KeyError):
         needs("exprot", "a misspelt extra")
 
 
 def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One package of two: that one."""
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(ConfigError, match="training needs torch, not installed here"):
         needs("train", "training")

@@ -85,7 +85,6 @@ def test_fit_inspect_verify(pictures: Path, tmp_path: Path) -> None:
 def test_a_wrong_option_is_a_sentence_and_leaves_nothing(
     pictures: Path, tmp_path: Path, more: tuple[str, ...], reason: str
 ) -> None:
-    """Each wrong name is reported with the right ones."""
     result = fit(pictures, tmp_path / "bolt", *more)
     assert isinstance(result.exception, GelgateError)
     assert reason in str(result.exception)

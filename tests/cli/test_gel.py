@@ -62,7 +62,6 @@ def test_replace_records_the_act_and_publishes_it(database: Path, capsys: pytest
 
 
 def test_with_two_sensors_one_must_be_named(database: Path) -> None:
-    """The sentence lists them."""
     with Store(database) as store:
         store.gel("OTHER123", T0)
 

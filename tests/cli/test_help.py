@@ -150,8 +150,6 @@ def test_a_folder_that_hides_a_package_of_ours_is_named(
 def test_a_missing_package_is_one_sentence(
     package: str, advice: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With the extra that brings it, where one does."""
-
     def build() -> NoReturn:
         raise ModuleNotFoundError(f"No module named '{package}'", name=package)
 
@@ -179,7 +177,6 @@ def test_a_folder_that_hides_the_command_line_itself_is_named(tmp_path: Path) ->
 
 
 def test_a_shell_suggests_verbs() -> None:
-    """Those that begin so, each with its line."""
     group = typer.main.get_command(build())
     context = group.make_context("gelgate", [], resilient_parsing=True)
 

@@ -61,7 +61,6 @@ def test_a_fail_of_part_or_gel_is_no_unsure_press(database: Path) -> None:
 
 
 def test_a_file_has_all_that_fit(database: Path, tmp_path: Path) -> None:
-    """Not only the newest twenty."""
     done = gelgate("history", "--database", database, "-o", tmp_path / "all.csv")
 
     assert done.out == f"25 presses in {tmp_path / 'all.csv'}\n"
@@ -116,6 +115,5 @@ def test_a_moment_is_a_date_a_time_or_an_age(text: str, expected: int) -> None:
 
 @pytest.mark.parametrize("text", ["yesterday", "2026-13-01", "0001-01-01", "-3h", ""])
 def test_what_is_no_moment_is_refused(text: str) -> None:
-    """With the ways to write one."""
     with pytest.raises(ConfigError, match="is no moment; give a date"):
         moment_ns(text, T0)

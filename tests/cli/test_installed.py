@@ -17,7 +17,6 @@ SERVICE = ROOT / "edge/service"
 
 @pytest.mark.parametrize("option", ["--version", "-V"])
 def test_the_version_names_what_decides_a_score(option: str) -> None:
-    """The program, Python, the runtime and NumPy, a line each."""
     ended = gelgate(option)
 
     lines = ended.out.splitlines()

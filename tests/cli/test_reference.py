@@ -157,14 +157,12 @@ def test_a_request_that_no_gateway_takes_is_withdrawn(database: Path) -> None:
 
 
 def test_a_refusal_of_the_gateway_is_the_answer(database: Path) -> None:
-    """Its own sentence."""
     why = "no master piece of bolt/crest is named 'M9'; known: M1"
     with Store(database) as store, pytest.raises(GelgateError, match=why):
         request_press(store, Gateway(lambda: acted(store, "refused", why)), wish("M9"), print, 60)
 
 
 def test_a_press_that_does_not_come_is_said(database: Path) -> None:
-    """After the configured time."""
     with Store(database) as store, pytest.raises(GelgateError, match="no reference press came within 5 s"):
         request_press(store, Gateway(lambda: acted(store, "done")), wish(), print, 5)
 

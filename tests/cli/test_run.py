@@ -53,7 +53,6 @@ def started(bench: Bench, stdin: int) -> "subprocess.Popen[str]":
 
 
 def acts(bench: Bench) -> list[str]:
-    """Return the verbs of the table of acts."""
     with open_read_only(bench.folder / "gelgate.db", "reading acts") as connection:
         return [verb for (verb,) in connection.execute("SELECT verb FROM acts")]
 

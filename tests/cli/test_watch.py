@@ -37,7 +37,6 @@ each_broker = pytest.mark.parametrize("broker", ["mosquitto", "amqtt"], indirect
 
 
 def speaks(broker: LocalBroker, client_id: str) -> Broker:
-    """At the level that it knows, with patience."""
     return Broker(
         broker.host, broker.port, client_id, level="5" if broker.speaks_mqtt5 else "3.1.1", timeout_s=60.0
     )

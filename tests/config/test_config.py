@@ -55,7 +55,6 @@ def test_paths_are_relative_to_the_file(tmp_path: Path) -> None:
 
 
 def test_defaults_stand_in_one_place(tmp_path: Path) -> None:
-    """What the file does not say is the default of the model."""
     config = load_config(written(tmp_path, SOUND))
 
     assert (config.gel.limit_presses, config.gel.warn_fraction) == (1000, 0.8)

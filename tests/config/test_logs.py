@@ -68,12 +68,10 @@ def test_a_line_about_a_press_has_its_id(
 
 
 def test_a_line_for_a_person_has_local_time_with_its_offset() -> None:
-    """In milliseconds."""
     assert re.match(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{3}[+-]\d\d:\d\d [A-Z]+ ", Text().format(record()))
 
 
 def test_a_press_is_an_event(caplog: pytest.LogCaptureFixture) -> None:
-    """Its id and its fields are in the line."""
     caplog.handler.setFormatter(Json())
     with caplog.at_level(logging.INFO):
         press_event(logging.getLogger("edge"), "01ABC", "bolt passes", {"event": "press", "verdict": "pass"})

@@ -20,7 +20,6 @@ def written(folder: Path, table: str = "") -> Path:
 
 
 def test_without_the_table_there_is_no_overview_camera(tmp_path: Path) -> None:
-    """It is off by default."""
     path = station_config(tmp_path, tmp_path / "presses", tmp_path / "bundle")
 
     assert load_config(path).overview is None
@@ -53,7 +52,6 @@ def test_the_table_is_the_rules(tmp_path: Path) -> None:
 
 
 def test_a_path_of_the_plugin_begins_at_the_files_folder(tmp_path: Path) -> None:
-    """As those of devices and sinks."""
     text = 'options = { recording = "parts" }'
     path = written(tmp_path, text)
     path.write_text(path.read_text().replace('"virtual_overview"', '"recorded"'))
@@ -78,7 +76,6 @@ def test_a_path_of_the_plugin_begins_at_the_files_folder(tmp_path: Path) -> None
     ],
 )
 def test_what_cannot_be_meant_is_refused(tmp_path: Path, text: str, sentence: str) -> None:
-    """With the key and what was expected."""
     with pytest.raises(ConfigError) as refused:
         load_config(written(tmp_path, text))
 
@@ -86,7 +83,6 @@ def test_what_cannot_be_meant_is_refused(tmp_path: Path, text: str, sentence: st
 
 
 def test_an_unknown_overview_camera_is_refused_with_the_nearest_name(tmp_path: Path) -> None:
-    """As every plugin."""
     path = written(tmp_path)
     path.write_text(path.read_text().replace("virtual_overview", "usb_kamera"))
 
@@ -105,7 +101,6 @@ def test_a_picture_of_the_empty_station_must_be_one(tmp_path: Path) -> None:
 
 
 def test_the_example_of_the_manual_loads(tmp_path: Path) -> None:
-    """As it is printed there."""
     page = (Path(__file__).resolve().parents[2] / "docs/operations.md").read_text(encoding="utf-8")
     table = page.partition("[overview]\n")[2].partition("```")[0]
     path = written(tmp_path)

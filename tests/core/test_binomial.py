@@ -55,7 +55,6 @@ def test_what_no_number_of_trials_shows_is_refused(rate: float, confidence: floa
 
 @pytest.mark.parametrize(("alarms", "trials"), [(-1, 5), (6, 5)])
 def test_more_alarms_than_trials_are_refused(alarms: int, trials: int) -> None:
-    """Counts that cannot be."""
     with pytest.raises(ValueError, match="alarms are 0 to 5"):
         upper_rate(alarms, trials)
 

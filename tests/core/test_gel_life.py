@@ -27,14 +27,12 @@ def test_states_at_their_edges(presses: int, state: GelState) -> None:
 
 @given(st.integers(0, 3000), st.integers(1, 2000), st.floats(0.01, 1.0), st.integers(0, 500))
 def test_a_gel_never_recovers(presses: int, limit: int, warn: float, more: int) -> None:
-    """More presses never make the state better."""
     order = list(GelState)
     before, later = (state_of(number, limit, warn) for number in (presses, presses + more))
     assert order.index(before) <= order.index(later)
 
 
 def test_nonsense_is_refused() -> None:
-    """Negative presses, no limit, a warning beyond the limit."""
     for make in (
         lambda: state_of(-1),
         lambda: state_of(0, 0),

@@ -23,7 +23,6 @@ OLD = MadeOn("2026-03-01")
 def test_a_bundle_of_another_gel_is_not_proven(
     made: MadeOn, mounted: str | None, used: dict[str, Any], known_from: str
 ) -> None:
-    """Each way to know that, with its words."""
     assert first_proof(made, "G2", mounted, **used) == GelProof(None, known_from)
 
 

@@ -168,7 +168,6 @@ def test_two_presses_begin_and_the_first_has_no_verdict() -> None:
 
 
 def test_the_verdict_of_another_part_is_an_error() -> None:
-    """Where the trigger names one."""
     bench = Bench()
     bench.trigger(7, "B/1")
     bench.press("pass")
@@ -226,7 +225,6 @@ def test_a_trigger_that_is_refused(given: Callable[[Bench], Code], code: Code) -
 
 @pytest.mark.parametrize("text", ["ä", "\n", "x" * 33, "a\0b"])
 def test_a_text_that_is_refused(text: str) -> None:
-    """A piece or a part."""
     for trigger in (Trigger(1, text), Trigger(1, "", text)):
         refusal = check_trigger(trigger)
         assert refusal is not None
@@ -291,7 +289,6 @@ def test_a_pass_of_one_place_is_no_pass() -> None:
 
 
 def test_every_code_is_explained() -> None:
-    """In the manual."""
     assert set(CODES) == set(Code)
 
 

@@ -48,7 +48,6 @@ def test_a_fail_is_not_pressed_away() -> None:
 
 
 def test_a_fixed_order_expects_one_place() -> None:
-    """Another place fills nothing."""
     assert pressed(order="fixed").expected == (A,)
     assert pressed((B, "pass"), (A, "pass"), order="fixed").expected == (B,)
     assert pressed((B, "pass")).expected == (A, C)
@@ -75,7 +74,6 @@ def test_outputs_show_a_pass_only_of_the_whole_piece(
 
 
 def test_a_place_without_a_bundle_is_named() -> None:
-    """With what to do."""
     known = {"bolt/left": {A}, "bolt/right": {C}}
     with pytest.raises(
         ConfigError, match=r"no bundle for bolt/middle; add one to \[inspection\], or take the place"

@@ -55,7 +55,6 @@ def two_presses(threshold: float, bound: float, first: Scores, second: Scores) -
 
 
 def test_the_simulation_decides_as_the_station() -> None:
-    """Piece by piece."""
     rng = np.random.default_rng(0)
     first, second = rng.standard_normal((2, 50)) + 0.8
     fails, presses = two_presses(1.0, 1.5, first, second)
@@ -132,7 +131,6 @@ NEVER = {
 
 @pytest.mark.parametrize("name", NEVER)
 def test_it_is_never_asked_for_where_it_does_not_pay_or_too_little_is_known(name: str) -> None:
-    """The plan says why."""
     scores, costs, why = NEVER[name]
     found = plan(scores, 2.0, ALPHA, costs)
     assert (found.bound, found.presses) == (None, 1)
@@ -179,7 +177,6 @@ def test_only_a_press_a_little_above_the_threshold_asks(
 
 
 def test_a_press_that_asks_is_unsure() -> None:
-    """With its own numbers."""
     assert unsure(decide(1.5, 1.0, 0.01)) == Verdict(Kind.UNSURE, 1.5, 1.0, 0.01)
 
 

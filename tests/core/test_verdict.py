@@ -44,7 +44,6 @@ def test_what_is_not_finite_has_no_verdict(bad: float) -> None:
 
 
 def test_nonsense_is_refused() -> None:
-    """A negative tolerance, a pass without a score, a rejection with one."""
     with pytest.raises(ValueError, match="tolerance"):
         decide(1.0, 1.0, -0.1)
     with pytest.raises(ValueError, match="finite"):

@@ -128,7 +128,6 @@ def test_a_pixel_belongs_by_its_centre() -> None:
 
 
 def test_shapes_refuse_nonsense() -> None:
-    """Two points, NaN and negative runs are refused."""
     with pytest.raises(ValueError, match="three points"):
         Polygon(((0.0, 0.0), (1.0, 1.0)))
     with pytest.raises(ValueError, match="finite"):

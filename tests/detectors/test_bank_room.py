@@ -40,7 +40,6 @@ def test_half_the_room_is_half_the_bank(method: str, limits: dict[str, Any]) -> 
 
 
 def test_a_room_that_is_none_is_refused() -> None:
-    """It is a factor."""
     with pytest.raises(ValueError, match="positive factor"):
         Nominal({}, room=0.0)
 

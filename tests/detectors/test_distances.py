@@ -39,7 +39,6 @@ def test_the_lowest_row_wins_a_tie() -> None:
 
 
 def test_an_empty_bank_is_refused() -> None:
-    """No rows: an error, never a distance."""
     with pytest.raises(ValueError, match="m >= 1"):
         nearest(np.zeros((1, 2)), np.zeros((0, 2)))
 

@@ -57,7 +57,6 @@ def seen(topology: str) -> tuple[Features, Features, Grid]:
 
 
 def test_every_method_is_compared() -> None:
-    """Every registered detector is tested here."""
     assert set(METHODS) <= set(registry.names("detectors"))
     assert {"tiny", *METHODS} >= set(registry.names("detectors"))
 
@@ -77,7 +76,6 @@ def error(method: str, mode: str, topology: str, touched: np.ndarray | None = No
 @pytest.mark.parametrize("mode", ["paper", "corrected"])
 @pytest.mark.parametrize("method", METHODS)
 def test_the_graph_equals_the_oracle(method: str, mode: str, topology: str) -> None:
-    """Map and score within 1e-4."""
     assert error(method, mode, topology) < 1e-4
 
 

@@ -198,7 +198,6 @@ class TestFaults:
 
     @pytest.mark.parametrize("text", ["drop", "drop@", "drop@-1", "melt@3", "stall@1:x"])
     def test_a_fault_that_cannot_be_read_is_refused(self, text: str) -> None:
-        """Wrong kinds, missing frames and bad numbers are refused."""
         with pytest.raises(ValueError, match=r"fault|float"):
             Fault.parse(text)
 

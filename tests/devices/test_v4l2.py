@@ -53,7 +53,6 @@ class TestNodes:
         assert node.path.resolve() == tmp_path / "dev/video10"
 
     def test_without_links_the_node_itself(self, tmp_path: Path) -> None:
-        """A system without udev links still works."""
         plug(tmp_path, 4, product=PRODUCT, serial=SERIAL, port="1-2", by_id=False)
         assert capture_node(SERIAL, tmp_path / "sys", tmp_path / "dev").path == tmp_path / "dev/video4"
 
@@ -217,7 +216,6 @@ class TestSensor:
             sensor.read(clock.monotonic_ns() + 10**9)
 
     def test_close_gives_back_once(self) -> None:
-        """Capture and lock are released once."""
         capture = FakeCapture(jpeg(0))
         sensor, closed = sensor_with(capture, ManualClock())
         sensor.close()

@@ -108,14 +108,12 @@ def named(check: Callable[..., None]) -> str:
 @pytest.mark.parametrize("check", TRIGGER_CHECKS, ids=named)
 @pytest.mark.parametrize("make_bench", TRIGGERS.values(), ids=TRIGGERS)
 def test_a_built_in_trigger_conforms(make_bench: Callable[[], Any], check: Callable[[Any], None]) -> None:
-    """The check's own docstring states the fact."""
     check(make_bench())
 
 
 @pytest.mark.parametrize("check", ACTUATOR_CHECKS, ids=named)
 @pytest.mark.parametrize("make_bench", ACTUATORS.values(), ids=ACTUATORS)
 def test_a_built_in_actuator_conforms(make_bench: Callable[[], Any], check: Callable[[Any], None]) -> None:
-    """The check's own docstring states the fact."""
     check(make_bench())
 
 
@@ -166,7 +164,6 @@ ACTUATOR_FAULTS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("name", [named(check) for check in TRIGGER_CHECKS])
 def test_a_check_of_triggers_can_fail(name: str) -> None:
-    """A pedal that is wrong in that way."""
     check = next(check for check in TRIGGER_CHECKS if named(check) == name)
     with pytest.raises((AssertionError, GelgateError)):
         check(Wrong(VirtualPedalBench(), **TRIGGER_FAULTS[name]))
@@ -174,14 +171,12 @@ def test_a_check_of_triggers_can_fail(name: str) -> None:
 
 @pytest.mark.parametrize("name", [named(check) for check in ACTUATOR_CHECKS])
 def test_a_check_of_actuators_can_fail(name: str) -> None:
-    """A board that is wrong in that way."""
     check = next(check for check in ACTUATOR_CHECKS if named(check) == name)
     with pytest.raises((AssertionError, GelgateError)):
         check(Wrong(VirtualRelayBench(), **ACTUATOR_FAULTS[name]))
 
 
 def test_all_checks_run_in_one_call() -> None:
-    """One group with every failure."""
     check_trigger(VirtualPedalBench)
     check_actuator(VirtualRelayBench)
     with pytest.raises(ExceptionGroup, match="1 of 5 checks failed"):

@@ -22,7 +22,6 @@ def test_a_line_that_drives_keeps_its_level_and_an_input_starts_off() -> None:
 
 
 def test_a_line_that_keeps_its_level_is_a_fault() -> None:
-    """Each write is read back."""
     kernel = FakeKernel(ManualClock())
     relays = GpioRelays(kernel, RelaysOptions(lines=(5, 6)))
     kernel.stuck = {6}
@@ -50,7 +49,6 @@ def test_edges_that_come_together_are_read_one_by_one() -> None:
     ],
 )
 def test_every_refusal_of_the_kernel_is_a_sentence(number: int, kind: type[DeviceError], words: str) -> None:
-    """With the line, the chip and what to do."""
     kernel = FakeKernel(ManualClock())
     kernel.error = OSError(number, "No such device")
     with pytest.raises(kind, match=words):

@@ -92,7 +92,6 @@ def test_the_sensor_and_a_mouse_are_no_pedals() -> None:
 
 
 def test_a_missing_pedal_is_one_sentence() -> None:
-    """With what was seen instead."""
     with pytest.raises(DeviceNotFound, match="no pedal is plugged in; check its cable"):
         open_pedal(Reports([SENSOR]), PedalOptions(), ManualClock())
     with pytest.raises(DeviceNotFound, match="has the serial '', expected 'A1'"):
@@ -132,7 +131,6 @@ def test_two_boards_must_be_told_apart() -> None:
 
 
 def test_a_relay_that_does_not_switch_is_a_fault() -> None:
-    """Each write is read back."""
     bus = VirtualHidBus(VirtualHidOptions(), ManualClock())
     board = open_relay(bus, RelayOptions())
     board.write(3, True)

@@ -19,11 +19,9 @@ def test_every_setting_is_explained_with_its_default() -> None:
 
 
 def test_every_signal_is_explained() -> None:
-    """In the table of signals."""
     assert [signal for signal in Signal if f"\n| {signal} |" not in PAGE] == []
 
 
 def test_the_configuration_reaches_the_rules() -> None:
-    """A station's own settings are the detector's."""
     settings = ContactTable(settle_s=0.4, light_levels=5.0).settings(is_external=True)
     assert (settings.settle_s, settings.light_levels, settings.is_external) == (0.4, 5.0, True)

@@ -87,7 +87,6 @@ def faults(name: str, licence: str) -> Iterator[str]:
 
 
 def test_every_package_of_a_plain_install_has_a_licence_on_the_page() -> None:
-    """Dependencies and theirs, as installed here."""
     assert base(with_markers=True) - set(BASE) == set()
 
 
@@ -98,7 +97,6 @@ def test_the_page_names_no_package_that_is_not_installed() -> None:
 
 @pytest.mark.parametrize("name", [*BASE, *EXTRAS])
 def test_the_licence_is_the_one_that_the_package_declares(name: str) -> None:
-    """The page repeats the installed metadata."""
     assert list(faults(name, (BASE | EXTRAS)[name])) == []
 
 
@@ -117,7 +115,6 @@ def test_the_direct_packages_of_the_extras_are_on_the_page() -> None:
 
 
 def test_the_newest_version_in_the_changes_is_the_products() -> None:
-    """CHANGELOG.md starts with the version of the package."""
     versions = re.findall(r"^## (\S+?),? ", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
 
     assert versions[0] == PROJECT["version"]

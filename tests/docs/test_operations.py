@@ -29,7 +29,6 @@ def rows(title: str) -> list[list[str]]:
 
 
 def test_every_alarm_has_its_row_and_no_other() -> None:
-    """In the order of the program."""
     assert [row[0] for row in rows("Alarms")] == [f"`{alarm}`" for alarm in ALARMS]
 
 
@@ -52,5 +51,4 @@ def test_what_to_do_is_what_the_page_at_the_station_says() -> None:
     ],
 )
 def test_the_limits_are_those_of_the_program(page: str, words: str) -> None:
-    """A changed constant is a changed row."""
     assert words in (DOCS / page).read_text(encoding="utf-8")

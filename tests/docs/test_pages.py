@@ -45,12 +45,10 @@ IMPORTS = [
 
 @pytest.mark.parametrize(("page", "module", "name"), IMPORTS)
 def test_what_an_example_imports_is_there(page: str, module: str, name: str) -> None:
-    """Each name that Python code on a page imports from the program."""
     assert hasattr(importlib.import_module(module), name), f"docs/{page}: {module} has no {name}"
 
 
 def test_every_key_says_what_it_means() -> None:
-    """No meaning is empty in a table of keys."""
     rows = [line for line in PRINTED["config.md"].splitlines() if line.startswith("| `")]
 
     assert len(rows) > 30

@@ -69,7 +69,6 @@ def fault(line: str) -> str | None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_on_the_pages_exist(page: Path) -> None:
-    """Verb, options and number of arguments, as the program knows them."""
     assert {line: why for line in shown(page) if (why := fault(line)) is not None} == {}
 
 
@@ -95,5 +94,4 @@ def test_continuous_integration_runs_the_commands_of_the_readme() -> None:
     ],
 )
 def test_a_command_that_does_not_exist_is_noticed(line: str) -> None:
-    """The check can fail."""
     assert fault(line) is not None

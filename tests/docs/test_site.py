@@ -40,7 +40,6 @@ def page(site: Path) -> Iterator[PageSink]:
 
 
 def test_a_port_in_use_is_refused_before_the_site_is_written(tmp_path: Path) -> None:
-    """The site takes some seconds."""
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         refused = gelgate("station", "docs", "--site", tmp_path / "site", "--serve", "--port", port)

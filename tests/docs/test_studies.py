@@ -36,12 +36,10 @@ def test_a_study_s_page_is_that_of_its_rows(study: str, rows: pd.DataFrame) -> N
 
 
 def test_the_comparison_with_the_paper_is_that_of_the_rows(rows: pd.DataFrame) -> None:
-    """Orders, directions and levels come from the rows and the published numbers."""
     assert (STUDIES / "paper.md").read_text(encoding="utf-8") == paper_page(rows).text
 
 
 def test_the_recommendations_are_those_of_the_rows(rows: pd.DataFrame) -> None:
-    """Each answer of each setup."""
     assert (STUDIES / "recommend.md").read_text(encoding="utf-8") == recommend_page(rows).text
 
 
@@ -53,7 +51,6 @@ def test_the_page_about_placement_is_that_of_its_rows() -> None:
 
 
 def test_every_picture_is_small_and_shown() -> None:
-    """At most 300 kB each, and a page shows it."""
     shown = set(
         re.findall(
             r"\]\(([^)]+\.svg)\)", "".join(p.read_text(encoding="utf-8") for p in STUDIES.glob("*.md"))

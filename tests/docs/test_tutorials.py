@@ -76,5 +76,4 @@ def test_a_subscriber_prints_every_verdict(folder: Path) -> None:
 
 
 def test_a_model_of_ones_own_gives_verdicts(folder: Path) -> None:
-    """Every press has one."""
     assert re.search(r"\n5 presses: ", follow("first_model.md"))

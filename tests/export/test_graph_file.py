@@ -77,14 +77,12 @@ def test_a_link_is_not_followed(split: Path) -> None:
     "facts", [{"offset": "100000"}, {"length": "8"}, {"offset": "-4"}, {"length": "many"}]
 )
 def test_parts_that_do_not_fit_are_refused(split: Path, facts: dict[str, Any]) -> None:
-    """Beyond the file, of another size, before its start, no number."""
     changed(split, **facts)
     with pytest.raises(ConfigError, match=r"the weight '.*' (needs 4800 bytes|has no known type)"):
         read_graph(split)
 
 
 def test_a_missing_file_is_named(split: Path) -> None:
-    """Of the weights, and of the graph itself."""
     split.with_name("model.onnx.data").unlink()
     with pytest.raises(ConfigError, match=r"in the file model\.onnx\.data, which is not next to it"):
         read_graph(split)

@@ -32,7 +32,6 @@ def newer(tmp_path: Path) -> Path:
     ],
 )
 def test_verbs_refuse_it(newer: Path, verb: tuple[str, ...]) -> None:
-    """The sentence names both schemas."""
     names = {name: newer.parent / name for name in ("out", "presses")}
     names |= {"bundle": newer, "stages": newer.parent / "stages.npz"}
     names["presses"].mkdir()

@@ -119,7 +119,6 @@ def test_weights_are_not_listed_as_taps(saved: Path) -> None:
 
 
 def test_the_command(saved: Path, tmp_path: Path) -> None:
-    """The verb writes the trunk and a report."""
     out, report = tmp_path / "t.onnx", tmp_path / "report"
     words = ("--taps", "layer1=sequence", "--licence", "MIT", "--report", report)
     assert "layer1" in ran("export", "backbone", saved, "-o", out, *words)

@@ -99,7 +99,6 @@ def test_the_report_is_one_page_with_both_maps(tmp_path: Path) -> None:
 
 
 def test_the_manual_has_the_tolerances_of_the_program() -> None:
-    """Kind of stage and allowed difference."""
     page = (Path(__file__).parents[2] / "docs" / "export.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| ([a-z, ]+) \| (\d+e-\d+) \|$", page, re.MULTILINE)
 

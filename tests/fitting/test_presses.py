@@ -175,7 +175,6 @@ def test_a_name_that_no_manifest_can_hold_is_a_sentence(tmp_path: Path) -> None:
 
 
 def test_a_recording_with_a_lost_frame_is_refused(recording: Path, tmp_path: Path) -> None:
-    """The recording's own check refuses it."""
     copy = Path(shutil.copytree(recording, tmp_path / "copy"))
     next((copy / "frames").iterdir()).unlink()
     with pytest.raises(RecordingError, match="lacks 1 of its"):

@@ -112,7 +112,6 @@ def test_a_pass_that_the_database_refuses_is_an_error(configure: Make) -> None:
 
 
 def test_a_master_piece_answers_no_trigger(configure: Make) -> None:
-    """The press after it does."""
     with PlcStation(configure(tables='[[reference.pieces]]\nname = "M1"\n')) as station:
         station.play_until_ready()
         station.find(ReferenceGuard).request("M1")
@@ -226,7 +225,6 @@ def test_what_is_refused_for_hours_is_an_act_a_minute(configure: Make) -> None:
 def test_a_value_that_can_never_be_right_is_told_before_the_part_is_sought(
     configure: Make, trigger_id: int, part: str
 ) -> None:
-    """As the table of codes says."""
     with PlcStation(configure()) as station:
         assert station.trigger(trigger_id, part=part) is Code.BAD_VALUE
 
@@ -322,7 +320,6 @@ def test_after_a_restart_nothing_is_left(configure: Make) -> None:
 def test_a_wrong_table_is_refused_with_its_place(
     configure: Make, change: tuple[str, str], words: str
 ) -> None:
-    """Before anything is opened."""
     config = configure()
     text = config.read_text()
     assert change[0] in text

@@ -129,7 +129,6 @@ def test_a_new_station_starts_with_the_configured_part(tmp_path: Path, recording
 
 
 def test_an_unknown_name_is_refused_and_nothing_changes(station: SteppedStation) -> None:
-    """With the nearest known name."""
     words = r"no part of this station is named 'PZ2'; known: PZ0/pos1, PZ1/pos1"
     with pytest.raises(ValueError, match=words):
         station.ask("select_part", name="PZ2")
@@ -137,7 +136,6 @@ def test_an_unknown_name_is_refused_and_nothing_changes(station: SteppedStation)
 
 
 def test_a_part_with_several_positions_needs_one(tmp_path: Path, recording: Path, bundle: Path) -> None:
-    """The sentence names them."""
     for name, position in (("a", "left"), ("b", "right")):
         variant(bundle, tmp_path / "bundles" / name, position=position)
     config = station_config(tmp_path / "station", recording, f'bundle_folder = "{tmp_path / "bundles"}"')

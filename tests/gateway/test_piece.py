@@ -313,7 +313,6 @@ def test_nothing_is_counted_that_is_not_recorded(configure: Make) -> None:
 
 
 def test_a_piece_goes_on_after_a_restart(configure: Make) -> None:
-    """With what was pressed of it."""
     config = configure(plan("free"), presses=2)
     with PieceStation(config) as station:
         station.ask("begin_piece", piece_id="P1")
@@ -425,7 +424,6 @@ def checked(configure: Make) -> Callable[[str], list[str]]:
 def test_the_check_names_a_place_without_a_bundle_and_a_piece_that_nobody_can_begin(
     checked: Callable[[str], list[str]],
 ) -> None:
-    """Each with what to do."""
     (lacking,) = checked(plan(names=("left", "behind")))
     (locked,) = checked(plan().replace(BEGUN, ""))
 
@@ -437,7 +435,6 @@ def test_the_check_names_a_place_without_a_bundle_and_a_piece_that_nobody_can_be
 
 
 def test_a_plan_that_cannot_be_is_refused(configure: Make) -> None:
-    """A place twice; a start without the bundle of a place."""
     with pytest.raises(ConfigError, match="the place PZ0/left is named twice, expected once"):
         load_config(configure(plan(names=("left", "left"))))
     with (
@@ -448,7 +445,6 @@ def test_a_plan_that_cannot_be_is_refused(configure: Make) -> None:
 
 
 def test_a_piece_that_is_changed_afterwards_is_found(configure: Make) -> None:
-    """The ledger has its verdict."""
     with PieceStation(configure(plan(), dented=(0,))) as station:
         station.play()
         path = station.parts.store.path

@@ -91,7 +91,6 @@ def test_a_run_that_missed_a_press_fails(tmp_path: Path, bundle: Path) -> None:
 def test_what_a_run_on_labelled_presses_must_have_seen(
     recording: Path, seen: int, dropped: int, words: str | None
 ) -> None:
-    """The number of presses decides."""
     played = Recording.open(recording)
     if words is None:
         played.check_presses(seen, 90, dropped)

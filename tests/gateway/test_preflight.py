@@ -34,7 +34,6 @@ from plugins.devices.usb_mock import UsbMock
 
 
 def find(config: Path, part: str) -> list[Finding]:
-    """Return what the check finds of this part."""
     with preflight(load_config(config), SystemClock()) as checked:
         return [finding for finding in checked.findings if finding.part == part]
 
@@ -191,7 +190,6 @@ def test_two_servers_of_a_station_have_two_ports(configure: Configure, table: st
 
 
 def test_the_check_prints_what_is_open_to_others(tmp_path: Path, recording: Path, bundle: Path) -> None:
-    """Behind what it found of the receiver."""
     secret = tmp_path / "password"
     secret.write_text("s")
     secret.chmod(0o604)

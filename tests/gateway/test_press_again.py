@@ -152,7 +152,6 @@ def test_a_bundle_without_such_scores_never_asks_and_says_why(
 
 
 def test_where_it_does_not_pay_a_press_fails_at_once(asking: Make) -> None:
-    """With the costs of the configuration."""
     with asking(0, tables="[press_again]\nmissed_defect = 1e9\nfalse_alarm = 0\n") as station:
         station.play()
     assert station.verdicts == ["fail", "pass", "pass"]

@@ -310,7 +310,6 @@ def test_options_that_a_feature_does_not_have(
 def test_a_feature_has_its_options(
     tables: str, watts: int, config: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Those of its table, or its defaults."""
     install(monkeypatch, f"{__name__}:LampWithOptions")
     config.write_text(f"{config.read_text()}\n{tables}\n")
     with SteppedStation(config) as station:

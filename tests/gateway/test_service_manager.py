@@ -65,7 +65,6 @@ def test_it_is_reported_three_times_in_the_longest_silence() -> None:
 
 @pytest.mark.parametrize("environment", [{}, {"NOTIFY_SOCKET": "/nowhere/x", "WATCHDOG_USEC": "1"}])
 def test_without_systemd_nothing_happens(environment: dict[str, str]) -> None:
-    """As in a terminal or a container."""
     service = ServiceManager(ManualClock(), environment)
     service.ready()
     service.alive()

@@ -316,7 +316,6 @@ def test_the_check_before_the_start_looks_for_the_board(configure: Make) -> None
 def test_a_wrong_table_is_refused_with_its_place(
     configure: Make, change: tuple[str, str], words: str
 ) -> None:
-    """Before anything is opened."""
     assert change[0] in ANDON
     with pytest.raises(ConfigError, match=words):
         load_config(configure(ANDON.replace(*change)))

@@ -153,8 +153,6 @@ class Sour(_Wrong):
 
 @pytest.mark.parametrize("wrong", [Stale, Twice, Deaf, Dead, Sour])
 def test_a_wrong_server_is_noticed(wrong: type[_Wrong]) -> None:
-    """Each by at least one check."""
-
     class Server:
         def __init__(self, inner: HandshakeServer) -> None:
             self.inner, self.name, self.close = inner, inner.name, inner.close

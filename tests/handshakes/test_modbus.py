@@ -164,7 +164,6 @@ def halted(plc: Plc, served: Served) -> int:
 def test_a_trigger_that_is_refused(
     served: Served, given: Callable[[Plc, Served], int], exception: int, code: Code
 ) -> None:
-    """A Modbus exception, and the code in its register."""
     plc = served.client()
     assert given(plc, served) == exception
     assert plc.words[REFUSAL] == code
@@ -386,7 +385,6 @@ def test_the_cable_is_pulled_at_every_step(served: Served, step: int, how: str, 
 
 
 def test_a_port_that_is_taken_is_a_sentence() -> None:
-    """At `gelgate check`, and at the start."""
     with contextlib.closing(ModbusServer("127.0.0.1", free_port(), ManualClock())) as server:
         port = int(server.name.rpartition(":")[2])
         with pytest.raises(

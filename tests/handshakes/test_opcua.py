@@ -146,7 +146,6 @@ def halted(plc: OpcUaPlc, served: Served) -> str:
 def test_a_job_that_is_refused(
     served: Served, plc: OpcUaPlc, given: Callable[[OpcUaPlc, Served], str], status: str, code: Code
 ) -> None:
-    """An OPC UA status code, and the code in its node."""
     assert given(plc, served) == status
     assert plc.read()["RefusalCode"] == code
 
@@ -155,7 +154,6 @@ def test_a_job_that_is_refused(
 def test_arguments_that_are_none_start_no_job(
     served: Served, plc: OpcUaPlc, arguments: tuple[Any, ...]
 ) -> None:
-    """And the server goes on."""
     assert plc.call(f"{JOBS}/StartSingleJob", *arguments).startswith("Bad")
     assert served.handshake.taken == []
     seen = plc.read()
@@ -163,7 +161,6 @@ def test_arguments_that_are_none_start_no_job(
 
 
 def test_no_node_can_be_written(served: Served, plc: OpcUaPlc) -> None:
-    """Neither a result, nor a state."""
     for path in VARIABLES:
         node = plc.node(path)
         with pytest.raises(ua.UaStatusCodeError):
@@ -299,7 +296,6 @@ def test_a_thread_that_fails_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_port_that_is_taken_and_a_missing_package_are_sentences(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At `gelgate check`, and at the start."""
     with contextlib.closing(OpcUaServer("127.0.0.1", 0, ManualClock())) as server:
         port = int(server.name.rpartition(":")[2])
         with pytest.raises(
@@ -314,6 +310,5 @@ def test_a_port_that_is_taken_and_a_missing_package_are_sentences(monkeypatch: p
 
 
 def test_every_path_has_a_meaning() -> None:
-    """docs/plc.md prints them."""
     assert all(about for _, about, _ in VARIABLES.values())
     assert all(about for _, about in METHODS.values())

@@ -62,7 +62,6 @@ def test_the_document_meets_the_published_schema(served: int) -> None:
 
 
 def test_the_published_schema_finds_faults() -> None:
-    """A channel without the right shape would be seen."""
     wrong = document(STATION)
     wrong["channels"]["state"]["colour"] = "red"
 
@@ -70,7 +69,6 @@ def test_the_published_schema_finds_faults() -> None:
 
 
 def test_every_reference_leads_somewhere(described: dict[str, Any]) -> None:
-    """Schemas, messages and channels alike."""
     for place in references(described):
         found: Any = described
         for level in place.removeprefix("#/").split("/"):

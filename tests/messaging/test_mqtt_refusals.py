@@ -198,7 +198,6 @@ def test_what_is_no_broker_or_refuses_is_said_in_a_sentence(answer: bytes | None
     ids=lambda options: next(iter(options)),
 )
 def test_options_refuse_nonsense(options: dict[str, Any]) -> None:
-    """Unknown keys, impossible ports, a password without a name, a key without its certificate."""
     with pytest.raises(ValueError, match="validation error"):
         MqttOptions.model_validate(options)
 

@@ -373,7 +373,6 @@ def test_pauses_double_up_to_a_ceiling_with_a_random_half() -> None:
 
 
 def test_an_idle_lane_waits(store: Store, outbox: Outbox) -> None:
-    """Nothing to do: no busy loop."""
     one = worker(outbox, ScriptedSink())
     drain(one)
 

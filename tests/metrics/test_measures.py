@@ -180,7 +180,6 @@ def test_names_and_intervals() -> None:
 
 
 def test_same_seed_same_intervals() -> None:
-    """The intervals depend only on the seed."""
     maps, masks, scores, ids = presses(np.random.default_rng(1))
     one, again, other = (measure(maps, masks, scores, ids, replicates=50, seed=seed) for seed in (3, 3, 4))
     assert one == again != other
@@ -215,7 +214,6 @@ def test_a_specimen_moves_as_one_and_classes_are_kept() -> None:
 
 
 def test_the_name_carries_the_limit() -> None:
-    """The digits after the point."""
     named = {0.01: "aupro_fpr01", 0.3: "aupro_fpr3", 0.05: "aupro_fpr05", 1.0: "aupro_fpr1"}
     assert {limit: limit_name(limit) for limit in named} == named
 

@@ -108,7 +108,6 @@ def test_only_plain_files_of_a_folder_are_read(
 
 
 def test_nothing_at_the_path_is_a_sentence(tmp_path: Path) -> None:
-    """The sentence says how to make a bundle."""
     with pytest.raises(BundleCorrupt, match="gelgate fit"):
         open_archive(tmp_path / "nothing")
 

@@ -32,7 +32,6 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_equal_inputs_give_equal_bytes() -> None:
-    """A bundle depends on neither time nor chance."""
     first, second = (tiny.tiny_files(golden=[GOLDEN])[1] for _ in range(2))
     assert first == second
 
@@ -148,7 +147,6 @@ def test_a_newer_schema_is_refused_by_name(folder: Path) -> None:
 
 @pytest.mark.parametrize("text", ["", "[]", "nonsense", "[" * 100_000, '{"schema_version": "1"}'])
 def test_a_manifest_that_is_no_json_object_is_refused(folder: Path, text: str) -> None:
-    """Empty, foreign or hostile text gives one clear error."""
     (folder / MANIFEST).write_text(text)
     with pytest.raises(BundleCorrupt, match=r"manifest\.json"):
         Bundle.load(folder)

@@ -10,10 +10,8 @@ PAGE = (Path(__file__).parents[2] / "docs" / "bundle.md").read_text(encoding="ut
 
 
 def test_every_field_of_the_manifest_is_explained() -> None:
-    """A new field cannot be forgotten."""
     assert [name for name in Manifest.model_fields if f"`{name}`" not in PAGE] == []
 
 
 def test_every_packing_is_explained() -> None:
-    """With its error."""
     assert [name for name in get_args(Packing) if f"`{name}`" not in PAGE] == []

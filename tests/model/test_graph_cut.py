@@ -44,7 +44,6 @@ def test_parts_that_read_equally_deep_share_one_file() -> None:
 
 
 def test_what_is_no_model_is_refused() -> None:
-    """Bytes that are not protobuf are refused."""
     with pytest.raises(GraphRefused):
         cut_trunk(b"\xff" * 40, ("layer1",))
 

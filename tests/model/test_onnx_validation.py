@@ -93,7 +93,6 @@ def test_foreign_operators_are_refused(text: str, reason: str) -> None:
 
 @pytest.mark.parametrize("data", [b"", b"\x00" * 40, b"PK\x03\x04 not a model", b"\xff" * 100])
 def test_bytes_that_are_no_model_are_refused(data: bytes) -> None:
-    """An empty, zeroed or foreign file gives one clear error."""
     with pytest.raises(GraphRefused):
         check_graph(data)
 

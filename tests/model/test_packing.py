@@ -90,6 +90,5 @@ def test_only_float32_is_packed() -> None:
 
 
 def test_int8_without_its_scale_is_refused() -> None:
-    """An int8 array without its scale file is refused."""
     with pytest.raises(ValueError, match="scale"):
         unpack(Packed(np.zeros((2, 2), np.int8)), "int8")

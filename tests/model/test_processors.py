@@ -52,7 +52,6 @@ def probe() -> bytes:
 
 
 def test_the_probe_is_the_graph_that_is_drawn_here() -> None:
-    """The shipped probe is the graph of this file."""
     shipped = files("edge.model").joinpath("saturation_probe.onnx").read_bytes()
     assert onnx.load_from_string(shipped) == onnx.load_from_string(probe())
 

@@ -105,7 +105,6 @@ def test_a_score_is_kept_when_the_next_frame_is_scored() -> None:
     ],
 )
 def test_a_frame_of_another_kind_is_refused(frame: np.ndarray) -> None:
-    """Found and expected are both named."""
     expected = re.escape("scores uint8 (32, 32, 3) frames (h, w, 3), found")
     with pytest.raises(ValueError, match=expected):
         Scorer(bundle()).score(frame)

@@ -139,7 +139,6 @@ def test_a_film_is_replayed_to_its_end(tmp_path: Path) -> None:
 
 @needs_depthai
 def test_a_film_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    """With its name."""
     with pytest.raises(RecordingError, match=r"no\.mp4 is no file"):
         plugin.open(OakOptions(film=tmp_path / "no.mp4"), SystemClock())
 

@@ -21,7 +21,6 @@ def drawn(number: int, **options: object) -> list[NDArray[np.uint8]]:
 
 @pytest.mark.parametrize(("kind", "text"), [("qr", "PZ0;0042"), ("apriltag", "586")])
 def test_its_code_is_read(kind: str, text: str) -> None:
-    """Of either kind."""
     (still,) = drawn(1, parts=[text], kind=kind)
 
     assert read_codes(still, ["qr", "apriltag"]) == (Code(kind, text),)  # type: ignore[arg-type]
@@ -38,6 +37,5 @@ def test_parts_come_in_order_and_again_from_the_start() -> None:
 
 @pytest.mark.parametrize("parts", [[], ["587"], ["-1"], ["x"]])
 def test_a_tag_is_a_number_of_its_family(parts: list[str]) -> None:
-    """Anything else is refused before the start."""
     with pytest.raises(ValidationError):
         VirtualOverviewOptions(parts=parts, kind="apriltag")

@@ -212,7 +212,6 @@ def test_a_request_that_is_no_json_is_refused_by_the_station(alone: Bench) -> No
     "path", ["/requests/", "/requests/../x", "/requests/replace-gel", "/station.json", "/"]
 )
 def test_other_addresses_take_no_request(alone: Bench, path: str) -> None:
-    """They are no verbs."""
     assert ask(alone.port, path, "POST", b"{}", Authorization=RIGHT)[0] == 404
 
 

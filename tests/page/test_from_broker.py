@@ -56,7 +56,6 @@ def until(is_so: Callable[[], object], within_s: float = 60.0) -> None:
 
 
 def says(broker: LocalBroker, *messages: Message, root: str = ROOT) -> None:
-    """A station publishes these."""
     connection = Connection.open(Broker(broker.host, broker.port, "says", level="5", timeout_s=60.0))
     for one in messages:
         connection.publish(Message(f"{root}/{one.topic}", one.payload, 1, one.retain))
@@ -297,7 +296,6 @@ def test_the_verb_serves_the_page_until_it_is_interrupted(broker: LocalBroker) -
     ],
 )
 def test_options_that_cannot_work_are_refused(tmp_path: Path, options: dict[str, Any], words: str) -> None:
-    """In a sentence, before anything is served."""
     secret = tmp_path / "secret"
     secret.write_bytes(SECRET)
     secret.chmod(0o640)

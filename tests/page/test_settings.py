@@ -27,7 +27,6 @@ from plugins.sinks.page import PageOptions, plugin
     ],
 )
 def test_options_that_cannot_work_are_refused(options: dict[str, object], words: str) -> None:
-    """In one sentence."""
     with pytest.raises(ValueError, match=words.replace("[", "\\[")):
         PageSettings.model_validate(options)
 

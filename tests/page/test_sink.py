@@ -151,7 +151,6 @@ def test_the_newest_picture_is_found_by_the_id_inside(
 
 
 def test_only_this_machine_reaches_it(sink: PageSink) -> None:
-    """It listens on the loopback address alone."""
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.2", sink.port), timeout=60)
 

@@ -76,12 +76,10 @@ def test_a_threshold_that_is_not_positive_is_drawn_too(threshold: float, expecte
 
 @pytest.mark.parametrize("threshold", [float("nan"), float("inf")])
 def test_a_threshold_without_scale_is_refused(threshold: float) -> None:
-    """Nothing is divided by zero."""
     with pytest.raises(ValueError, match="threshold"):
         relative_scores(np.ones((2, 2), np.float32), threshold)
 
 
 def test_a_map_that_is_not_finite_is_refused() -> None:
-    """A NaN is an error, never a dark pixel."""
     with pytest.raises(ValueError, match="1 values"):
         relative_scores(np.array([[np.nan, 1.0]], np.float32), 1.0)

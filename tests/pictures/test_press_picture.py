@@ -71,7 +71,6 @@ def test_the_scale_bar_is_as_long_as_it_says() -> None:
 
 @pytest.mark.parametrize(("verdict", "channel"), [("pass", 1), ("fail", 0)])
 def test_the_verdict_has_its_colour(verdict: str, channel: int) -> None:
-    """Green for a pass, red for a fail."""
     sheet = draw_press(press(224, 224), with_defect(224, 224), CAPTION._replace(verdict=verdict))
 
     assert int(sheet[2, 2].argmax()) == channel
@@ -167,7 +166,6 @@ def test_a_program_reads_the_scores_from_the_map(shift: float) -> None:
 
 
 def test_a_map_of_one_score_has_no_step() -> None:
-    """Every value is `zero`."""
     read, said = read_scores(encode_scores(np.full((8, 8), 0.3, np.float32), CAPTION))
     assert (float(said["step"]), np.unique(read).tolist()) == (0.0, [np.float64(np.float32(0.3))])
 

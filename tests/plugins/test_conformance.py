@@ -50,7 +50,6 @@ def named(check: Callable[..., None]) -> str:
 @pytest.mark.parametrize("check", DETECTOR_CHECKS, ids=named)
 @pytest.mark.parametrize("method", registry.names("detectors"))
 def test_a_built_in_detector_conforms(method: str, check: Callable[[DetectorCase], None]) -> None:
-    """The check's own docstring states the fact."""
     check(DetectorCase(registry.detector(method)))
 
 
@@ -70,7 +69,6 @@ def test_the_built_in_detectors_say_what_lists_of_names_would() -> None:
 def test_a_built_in_device_conforms(
     make_bench: benches.Make[DeviceBench], check: Callable[[DeviceBench], None]
 ) -> None:
-    """The check's own docstring states the fact."""
     with make_bench() as bench:
         check(bench)
 
@@ -80,7 +78,6 @@ def test_a_built_in_device_conforms(
 def test_a_built_in_overview_camera_conforms(
     make_bench: benches.Make[OverviewBench], check: Callable[[OverviewBench], None]
 ) -> None:
-    """The check's own docstring states the fact."""
     with make_bench() as bench:
         check(bench)
 
@@ -93,7 +90,6 @@ WITHOUT_DEADLINES = ("check_the_deadline_is_kept", "check_after_the_last_frame")
     "check", [check for check in DEVICE_CHECKS if named(check) not in WITHOUT_DEADLINES], ids=named
 )
 def test_the_v4l2_reader_conforms_but_for_deadlines(check: Callable[[DeviceBench], None]) -> None:
-    """The check's own docstring states the fact."""
     check(benches.V4l2Bench())
 
 
@@ -102,7 +98,6 @@ def test_the_v4l2_reader_conforms_but_for_deadlines(check: Callable[[DeviceBench
 def test_a_built_in_sink_conforms(
     make_bench: benches.Make[SinkBench], check: Callable[[SinkBench], None]
 ) -> None:
-    """The check's own docstring states the fact."""
     with make_bench() as bench:
         check(bench)
 
@@ -198,7 +193,6 @@ WRONG_DETECTORS = {
 
 @pytest.mark.parametrize("name", WRONG_DETECTORS)
 def test_a_wrong_detector_is_noticed(name: str) -> None:
-    """By the check that is about what is wrong."""
     fails(DETECTOR_CHECKS, name, DetectorCase(WRONG_DETECTORS[name]))
 
 
@@ -243,7 +237,6 @@ def test_every_fact_that_does_not_hold_is_named() -> None:
 
 
 def test_a_sound_detector_passes_without_a_word() -> None:
-    """`check_detector` returns nothing and raises nothing."""
     conformance.check_detector(SUBSPACE)
 
 
@@ -309,7 +302,6 @@ WRONG_DEVICES = {
 
 @pytest.mark.parametrize("name", WRONG_DEVICES)
 def test_a_wrong_device_is_noticed(name: str, tmp_path: Path) -> None:
-    """By the check that is about what is wrong."""
     bench = benches.RecordedBench(tmp_path)
     opened = bench.open
     fails(DEVICE_CHECKS, name, Changed(bench, open=lambda *a, **k: WRONG_DEVICES[name](opened(*a, **k))))

@@ -35,7 +35,6 @@ def test_the_table_has_every_package() -> None:
 
 @pytest.mark.parametrize("package", MAY_IMPORT)
 def test_a_package_imports_what_it_may(package: str) -> None:
-    """Of our packages only itself and those in its row."""
     allowed = (package, *MAY_IMPORT[package])
     narrower = [other for other in MAY_IMPORT if other != package and is_in(other, package)]
     files = [

@@ -169,7 +169,6 @@ def test_every_verb_works_or_names_its_extra(plain: Path, desk: Path) -> None:
 
 
 def test_the_table_has_every_verb() -> None:
-    """A new verb is run here, too."""
     names = set(registry.names("commands"))
     run = {name for name in names if any(f"{line} ".startswith(f"{place(name)} ") for line, _, _ in VERBS)}
     assert run == names - ELSEWHERE

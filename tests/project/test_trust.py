@@ -36,7 +36,6 @@ def run_judge(*words: str) -> subprocess.CompletedProcess[str]:
     ids=lambda words: words[0],
 )
 def test_a_judge_finds_nothing(words: tuple[str, ...]) -> None:
-    """Each of them, with what pyproject.toml tells it."""
     done = run_judge(*words)
 
     assert done.returncode == 0, done.stdout + done.stderr

@@ -196,7 +196,6 @@ def test_a_full_disk_keeps_what_was_recorded(tmp_path: Path, size: int, beyond_i
 
 
 def test_an_unwritable_folder_is_refused(tmp_path: Path) -> None:
-    """A folder below a file cannot be made."""
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match="cannot be started"):
         RecordingWriter(tmp_path / "file" / "r", HEADER)

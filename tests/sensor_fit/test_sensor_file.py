@@ -52,7 +52,6 @@ def file(sensor: SensorFile, tmp_path: Path) -> Path:
 
 
 def test_what_is_written_is_read(file: Path, sensor: SensorFile) -> None:
-    """Every number comes back."""
     assert read_sensor(file) == sensor
 
 

@@ -127,7 +127,6 @@ def test_defects_are_placed_where_the_press_touches_and_the_detector_looks() -> 
     [({"kind": "rust"}, "found 'rust'"), ({"severity": 1.2}, "found 1.2"), ({"size": 0.0}, "found 0.0")],
 )
 def test_a_nonsensical_defect_is_refused(change: dict[str, object], found: str) -> None:
-    """Unknown kinds, severities above 1 and a size of 0 are refused."""
     good: dict[str, object] = {"kind": "dent", "severity": 0.5, "at_mm": (0.0, 0.0)}
     with pytest.raises(ValueError, match=found):
         Defect(**{**good, **change})  # type: ignore[arg-type]

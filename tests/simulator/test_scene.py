@@ -62,7 +62,6 @@ def test_every_fault_is_reported_at_once(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_scene_says_what_is_wrong(change: tuple[str, str], sentence: str, tmp_path: Path) -> None:
-    """Each single fault is named."""
     with pytest.raises(ConfigError) as caught:
         load_scene(written(tmp_path, GOOD.replace(*change)))
     assert sentence in str(caught.value)

@@ -50,7 +50,6 @@ def test_a_copy_goes_on_as_a_database(path: Path, tmp_path: Path) -> None:
 
 
 def test_an_existing_file_is_never_replaced(store: Store, path: Path, tmp_path: Path) -> None:
-    """Not even by a newer backup."""
     (tmp_path / "copy.db").write_text("older")
     with pytest.raises(StoreError, match=r"copy\.db exists already"):
         back_up(path, tmp_path / "copy.db")

@@ -25,7 +25,6 @@ def test_a_sensor_never_seen_gets_its_first_gel(store: Store) -> None:
 
 
 def test_each_sensor_has_its_own_count(store: Store) -> None:
-    """Two sensors on one gateway have separate counts."""
     count(store, make_press(1), make_press(2, serial="OTHER"), make_press(3))
 
     assert {gel.gel_id: gel.presses for gel in store.gels()} == {"2BNN4ZE7-1": 2, "OTHER-1": 1}

@@ -103,6 +103,5 @@ def test_a_word_without_presses_proves_nothing(mounted: Store) -> None:
 
 
 def test_a_bundle_that_was_never_used_on_the_gel_cannot_be_proven(mounted: Store) -> None:
-    """The sentence says what to do."""
     with pytest.raises(ValueError, match="was not used on gel 2BNN4ZE7-1 yet; press sound parts first"):
         prove(mounted, key(1))

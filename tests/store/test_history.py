@@ -146,7 +146,6 @@ def test_a_file_appears_complete_or_not_at_all(six: Path, tmp_path: Path) -> Non
 
 
 def test_an_unknown_ending_is_refused(tmp_path: Path) -> None:
-    """With those that are known."""
     with pytest.raises(StoreError, match=r"presses\.xlsx names no format; known are \.csv, \.parquet"):
         write_history(tmp_path / "presses.xlsx", [])
 

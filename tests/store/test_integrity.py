@@ -100,7 +100,6 @@ def test_it_may_be_checked_while_a_gateway_writes(used: Path) -> None:
     ],
 )
 def test_each_kind_of_damage_is_a_fault(used: Path, statement: str, found: str) -> None:
-    """One sentence with the numbers, and the place."""
     execute(used, statement)
 
     assert any(found in fault for fault in faults(used)), check_database(used)

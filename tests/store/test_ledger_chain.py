@@ -200,7 +200,6 @@ def test_an_old_copy_in_the_place_of_the_database_lacks_the_head(used: Path, tmp
     "text", ["", "abc", "12345678.1", f"12345678.x.{'0' * 64}", f"1234567g.1.{'0' * 64}"]
 )
 def test_a_head_that_is_none_is_refused(text: str) -> None:
-    """With its form."""
     with pytest.raises(ValueError, match="is no head of a ledger; expected"):
         Head.parse(text)
 
@@ -318,7 +317,6 @@ def test_presses_of_master_pieces_and_studies_are_chained(used: Path, statement:
 
 
 def test_old_reference_presses_go_without_a_fault(used: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only the newest are kept."""
     for module in (reference_presses, integrity):
         monkeypatch.setattr(module, "KEPT_REFERENCES", 1)
     labelled(used)

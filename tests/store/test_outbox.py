@@ -28,7 +28,6 @@ def topics(outbox: Outbox, sink: str = "mqtt") -> list[str]:
 
 
 def test_a_message_comes_back_as_it_was_put_in(store: Store, outbox: Outbox) -> None:
-    """Every field of the message survives."""
     message = Message("x/y", b"\x00\xff", qos=0, content_type="image/png", expiry_s=9)
 
     put(store, make_press(1), message)
@@ -169,7 +168,6 @@ def test_room_is_made_in_order_heatmaps_then_passes_then_fails(path: Path) -> No
 
 
 def test_of_equal_priority_the_oldest_goes_first(path: Path) -> None:
-    """The newest results are the ones kept."""
     size = 1000 + ROW_OVERHEAD_BYTES
     with Store(path, Bounds(max_bytes=3 * size)) as store, Outbox(path) as outbox:
         for n in range(5):
@@ -194,7 +192,6 @@ def test_the_counted_size_is_that_of_the_rows(store: Store, outbox: Outbox) -> N
 
 
 def test_bounds_refuse_nonsense() -> None:
-    """Bounds of 0 are refused."""
     with pytest.raises(ValueError, match="positive"):
         Bounds(max_bytes=0)
     with pytest.raises(ValueError, match="positive"):

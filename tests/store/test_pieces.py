@@ -65,7 +65,6 @@ def test_the_ledger_agrees_after_old_presses_and_old_pieces_have_gone(
     ],
 )
 def test_a_changed_piece_is_found(path: Path, change: str, sentence: str) -> None:
-    """With what was done to it."""
     with Store(path) as store:
         press_pieces(store, range(3))
         store.write("changing", lambda it: it.execute(change))

@@ -298,7 +298,6 @@ def test_the_journal_stays_small(store: Store, path: Path, acknowledges: bool, m
     ids=lambda f: next(iter(f)),
 )
 def test_a_press_refuses_nonsense(field: dict[str, str]) -> None:
-    """Every field is checked at birth."""
     good = vars(make_press(1))
 
     with pytest.raises(ValueError, match=r"found"):

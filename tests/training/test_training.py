@@ -170,7 +170,6 @@ def test_a_full_disk_keeps_the_last_checkpoint(
     ],
 )
 def test_recipes_refuse_nonsense(settings: dict[str, object], fault: str) -> None:
-    """Sizes, counts, words and weights out of range are refused, each by its name."""
     with pytest.raises(ConfigError, match=re.escape(fault)):
         TrainConfig.shipped(**settings)
 

@@ -53,7 +53,6 @@ def deep(start_ms: int, strengths: list[float], change: float = 0.0) -> list[Obs
 
 
 def test_every_state_handles_every_signal() -> None:
-    """No pair is missing, none is foreign."""
     assert set(TABLE) == {(state, signal) for state in State for signal in Signal}
     assert set(TABLE.values()) == set(State)
 
@@ -73,7 +72,6 @@ def test_every_state_can_be_reached_and_left() -> None:
 
 
 def test_a_blind_frame_moves_nothing() -> None:
-    """A frame that tells nothing leaves every state as it is."""
     assert all(TABLE[state, Signal.BLIND] is state for state in State)
 
 
@@ -115,7 +113,6 @@ STORIES = {
 
 @pytest.mark.parametrize("name", STORIES)
 def test_what_frames_tell(name: str) -> None:
-    """On a free gel: which events, in which order."""
     frames, expected = STORIES[name]
     assert story(run(free(), frames)[1]) == expected
 
@@ -129,7 +126,6 @@ def test_a_still_start_learns_a_reference(moved: int | None, last: int) -> None:
 
 
 def test_black_frames_at_the_start_are_not_learnt() -> None:
-    """However long the camera stays black."""
     track, events = run(Track(), (replace(seen(i * 40, None), is_black=True) for i in range(1, 100)))
     assert (track.state, events) == (State.WARM_UP, [])
 
@@ -143,7 +139,6 @@ def test_a_part_that_was_there_at_the_start_is_not_a_press() -> None:
 
 
 def test_one_press() -> None:
-    """Began, settled on a still frame, ended: one of each."""
     track, events = run(free(), at(40, [FREE] * 5 + [PRESSED] * 20 + [FREE] * 10))
     assert (story(events), track.state) == (PRESS, State.RECOVERY)
     assert [event.touch.area for event in events if isinstance(event, PressSettled)] == [PRESSED]
@@ -241,7 +236,6 @@ def test_residue_neither_holds_a_press_open_nor_begins_one(name: str) -> None:
 
 
 def test_time_must_rise() -> None:
-    """A frame is never looked at twice."""
     track, _ = step(free(), seen(40, FREE), RULES)
     with pytest.raises(ValueError, match="rise"):
         step(track, seen(40, FREE), RULES)
@@ -282,7 +276,6 @@ def test_what_is_told_after_a_gap(name: str) -> None:
 
 
 def test_a_trigger_without_contact_says_so() -> None:
-    """In every state without a press."""
     for state in (State.WARM_UP, State.BASELINE, State.NO_CONTACT, State.RECOVERY):
         assert trigger(Track(state=state))[1] == (TriggerWithoutContact(state),)
 
@@ -299,7 +292,6 @@ def test_external_presses_wait_for_their_trigger() -> None:
 
 
 def test_external_press_without_a_trigger_is_counted_but_not_scored() -> None:
-    """It ends as not triggered."""
     _, events = run(free(), at(40, [PRESSED] * 200 + [FREE] * 5), EXTERNAL)
     assert story(events) == "PressBegan PressNotSettled:NOT_TRIGGERED PressEnded"
 
@@ -313,7 +305,6 @@ def test_a_trigger_during_the_approach_is_kept_or_answered() -> None:
 
 
 def test_relearning_closes_a_press() -> None:
-    """A change of gel in the middle of a press leaves no press open."""
     for frames, expected in ((MOVING, "PressNotSettled:RELEARNT PressEnded"), (STILL, "PressEnded")):
         track, events = relearn(run(free(), frames)[0])
         assert (story(events), track.state) == (expected, State.WARM_UP)

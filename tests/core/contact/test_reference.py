@@ -169,7 +169,6 @@ def test_a_refresh_moves_part_of_the_way() -> None:
 
 
 def test_black_is_told_from_dim() -> None:
-    """A camera that has not woken up."""
     assert is_black(np.zeros((120, 160, 3), np.float32))
     assert not is_black(free_gel())
 

@@ -6,7 +6,6 @@ from edge.core.contact.settings import ContactSettings
 
 
 def test_settings_refuse_nonsense() -> None:
-    """Levels that cross, shares beyond 1, times that run backwards."""
     for make in (
         lambda: ContactSettings(on_area=0.001),
         lambda: ContactSettings(off_area=0),  # a lift would never be seen

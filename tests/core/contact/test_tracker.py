@@ -38,7 +38,6 @@ def pressed(view: View, depth: float) -> View:
 
 @cache
 def ball(depth: float) -> View:
-    """What it adds to the free gel."""
     rows, columns = np.mgrid[0:120, 0:160].astype(np.float32)
     radius = 20 * depth**0.5
     u, v = (columns - 80) / radius, (rows - 60) / radius
@@ -208,7 +207,6 @@ def test_a_stored_reference_shows_that_the_start_was_touched() -> None:
 
 
 def test_a_stored_reference_is_replaced_by_a_free_start() -> None:
-    """When the start is free the fresh reference holds."""
     camera = Camera(ContactTracker(stored=Reference(free_gel() * np.float32(0.9))), free_gel())
     camera.wait(2)
     assert camera.names() == ["ReferenceReady"]
@@ -290,7 +288,6 @@ def video_views(path: Path) -> list[View]:
     ],
 )
 def test_other_arrays_are_refused(view: View, stored: Reference | None, words: str) -> None:
-    """What was found and what is expected is named."""
     with pytest.raises(ValueError, match=words):
         ContactTracker(stored=stored).feed(view, 1, 1)
 

@@ -93,7 +93,6 @@ def test_the_contact_view_is_enough_for_scratches() -> None:
 
 
 def test_two_shapes_are_refused() -> None:
-    """Found shapes are named."""
     with pytest.raises(ValueError, match="240, 320"):
         wear(gel(), gel(0, 160))
 

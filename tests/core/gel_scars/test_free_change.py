@@ -39,7 +39,6 @@ def test_light_is_no_mark(now: np.ndarray) -> None:
 
 
 def test_a_scratch_is_found_where_it_is() -> None:
-    """And nothing far from it."""
     places = found(gel(1), marked(gel(2)))
     near = np.zeros(SHAPE, bool)
     near[57:65, 67:93] = True

@@ -85,7 +85,6 @@ def test_one_press_that_exceeds_begins_the_count_of_quiet_ones_again() -> None:
 
 
 def test_an_unknown_place_has_no_repeats() -> None:
-    """Neither has no place at all."""
     record = pressed(ScarRecord.empty(SHAPE), 5)
 
     assert (record.repeats(spot()).hits, record.repeats(NOWHERE).hits) == (0, 0)

@@ -118,7 +118,6 @@ NOTHING, EVERYTHING = np.zeros_like(SPOT), np.ones_like(SPOT)
 def test_what_cannot_be_told_is_not_claimed(
     press: F64, places: Mask, sound: Mask | None, remark: str
 ) -> None:
-    """No depth, no size, and why."""
     found = measure(press, places, sound=sound)
     assert (found.depth_mm, found.size_mm, found.size_u95_mm) == (None, None, None)
     assert found.remark.startswith(remark), found.remark

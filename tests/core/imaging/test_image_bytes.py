@@ -47,7 +47,6 @@ def test_a_comment_is_read_back(text: str, suffix: str) -> None:
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
 def test_a_comment_changes_no_pixel(suffix: str) -> None:
-    """The picture is read as before."""
     payload = jpeg(0, suffix=suffix)
     plain, commented = (
         cv2.imdecode(np.frombuffer(one, np.uint8), cv2.IMREAD_COLOR)

@@ -38,7 +38,6 @@ GLARING[:25, :, 2] = 250
     ],
 )
 def test_light(picture: NDArray[np.uint8], reason: Reason | None) -> None:
-    """A dark sensor, a dim picture and too much light are distinguished."""
     found = check_light(picture)
     assert (found and found.reason) is reason
 
@@ -66,13 +65,11 @@ def test_stale_frames(age_ns: int, is_stale: bool) -> None:
     ],
 )
 def test_no_contact_and_off_position(touch: Touch | None, reason: Reason | None, word: str) -> None:
-    """Column, row and area are each compared with the nominal range, and named."""
     found = check_contact(touch, NOMINAL, LR)
     assert (found and found.reason) is reason
     assert found is None or word in found.text
 
 
 def test_nonsense_is_refused() -> None:
-    """Ranges are ascending."""
     with pytest.raises(ValueError, match="x runs from low to high"):
         NominalContact((2, 1), (0, 1), (0, 1))

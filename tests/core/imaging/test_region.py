@@ -40,7 +40,6 @@ def test_words() -> None:
 
 @pytest.mark.parametrize("text", ["", "middle", "1,2,3", "-1,0,10x10", "1,2,3x4x5", "0,0,0x10"])
 def test_other_words_are_refused(text: str) -> None:
-    """The message names the region."""
     with pytest.raises(ConfigError, match="region"):
         Region.parse(text, LR)
 

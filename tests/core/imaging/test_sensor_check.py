@@ -82,7 +82,6 @@ def test_the_same_sensor_is_accepted_and_another_refused() -> None:
 
 
 def test_the_limit_itself_is_accepted() -> None:
-    """A press exactly at the limit is accepted."""
     seen = picture(100, 100, 100)
     distance = colour_distance(colour_cells(seen, (8, 8)), CELLS)
     assert check_sensor(seen, NominalColours(CELLS, distance)) is None
@@ -100,7 +99,6 @@ def test_the_limit_itself_is_accepted() -> None:
     ],
 )
 def test_nonsense_is_refused(cells: np.ndarray, limit: float, what: str) -> None:
-    """Colours are valid levels, and a limit is positive."""
     with pytest.raises(ValueError, match=what):
         NominalColours(cells, limit)
 

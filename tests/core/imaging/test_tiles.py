@@ -85,6 +85,5 @@ def test_a_falling_weight_is_linear_in_the_overlap() -> None:
     ],
 )
 def test_nonsense_is_refused(make: object, says: str) -> None:
-    """Frames smaller than a tile, overlaps that do not advance, gaps, and cells that tiles cut through."""
     with pytest.raises(ValueError, match=says):
         make()  # type: ignore[operator]

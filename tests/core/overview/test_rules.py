@@ -184,7 +184,6 @@ def test_a_region_is_never_empty(w: int, h: int, left: float, top: float) -> Non
     "sides", [(0.5, 0, 0.6, 1), (0, 0, 0, 1), (-0.1, 0, 0.5, 1), (0, float("nan"), 1, 1)]
 )
 def test_a_region_lies_in_the_picture(sides: tuple[float, float, float, float]) -> None:
-    """Anything else is refused with what was found."""
     with pytest.raises(ValueError, match="lies in it, found"):
         Zone(*sides)
 

@@ -85,7 +85,6 @@ OUTCOMES = {
 
 @pytest.mark.parametrize("name", OUTCOMES)
 def test_outcomes(name: str) -> None:
-    """Of the newest of several presses."""
     presses, expected = OUTCOMES[name]
     assert outcome(presses) is expected
 

@@ -93,6 +93,5 @@ def test_limits_need_two_values(values: list[float]) -> None:
 
 @pytest.mark.parametrize(("centre", "sigma"), [(0.0, 0.0), (0.0, -1.0), (float("nan"), 1.0)])
 def test_limits_are_numbers(centre: float, sigma: float) -> None:
-    """No spread, or no number, makes no chart."""
     with pytest.raises(ValueError, match="sigma is above 0"):
         Limits(centre, sigma)

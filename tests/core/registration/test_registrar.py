@@ -256,7 +256,6 @@ def test_neither_dots_nor_a_pitch_lead_away(shape: parts.Bumps, shown: Any, opti
 
 
 def test_a_press_of_another_size_is_refused() -> None:
-    """Found and expected are named."""
     with pytest.raises(ValueError, match=r"\(128, 128, 3\), found uint8 \(64, 64, 3\)"):
         registrar("BLOCK").register(np.zeros((64, 64, 3), np.uint8))
 

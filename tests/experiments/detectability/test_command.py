@@ -164,7 +164,6 @@ def test_what_cannot_be_measured_is_one_sentence(
     bench: Bench,
     tmp_path: Path,
 ) -> None:
-    """The sentence says what is needed."""
     outcome = run(fitted, sources(pictures, bench), tmp_path, "--no-contact", pictures / "free", *more)
     assert outcome.code != 0
     assert sentence in outcome.sentence()

@@ -127,6 +127,5 @@ def test_the_bound_holds_as_often_as_it_says() -> None:
     ("low", "high"), [([0.2], [0.1]), ([-0.1], [0.1]), ([math.inf], [math.inf]), ([0.1], [0.1])]
 )
 def test_intervals_that_are_none_are_refused(low: list[float], high: list[float]) -> None:
-    """A trial lies between two sizes."""
     with pytest.raises(ValueError, match="low, high"):
         fit_pod(low, high, 0.4)

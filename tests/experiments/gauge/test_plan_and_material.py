@@ -47,7 +47,6 @@ def test_a_name_twice_is_refused() -> None:
     ],
 )
 def test_a_plan_that_was_edited_is_refused(plan: StudyPlan, old: str, new: str, sentence: str) -> None:
-    """The first fault, and how to make another."""
     with pytest.raises(ConfigError) as refused:
         read_plan(plan.text().replace(old, new, 1), "study.json")
 
@@ -96,7 +95,6 @@ def test_void_and_rejected_presses_do_not_count_and_are_said(plan: StudyPlan, ro
     ("field", "word"), [("gel_id", "gel"), ("bundle_id", "bundle"), ("serial", "sensor")]
 )
 def test_a_change_in_the_middle_is_refused(plan: StudyPlan, rows_of: Rows, field: str, word: str) -> None:
-    """The scores cannot be compared."""
     rows = rows_of(plan)
     rows[-1] = replace(rows[-1], **{field: "another"})
 
@@ -105,7 +103,6 @@ def test_a_change_in_the_middle_is_refused(plan: StudyPlan, rows_of: Rows, field
 
 
 def test_too_few_presses_are_refused(plan: StudyPlan, rows_of: Rows) -> None:
-    """And what goes on."""
     with pytest.raises(DatasetError, match=r"3 of 16 presses .* have a score.*`gelgate lab msa run` goes on"):
         material(plan, rows_of(plan)[:3])
 

@@ -212,7 +212,6 @@ def test_the_command_line_from_plan_to_report(config: Path, tmp_path: Path) -> N
 def test_what_cannot_be_done_is_one_sentence(
     words: tuple[str, ...], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Exit code 3."""
     monkeypatch.chdir(tmp_path)
     done = gelgate("lab", "msa", *words)
 

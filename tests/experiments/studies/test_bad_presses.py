@@ -42,7 +42,6 @@ def test_damaged_presses_take_the_place_of_nominal_ones(share: float, count: int
 
 
 def test_more_than_there_are_is_refused() -> None:
-    """With what would do."""
     with pytest.raises(DatasetError, match="50% of 20 presses are 10 damaged ones; 3 can be learnt from"):
         mix_presses(np.arange(20), np.arange(100, 103), 0.5, seed=0)
 

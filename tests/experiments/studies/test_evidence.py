@@ -97,7 +97,6 @@ def test_seeds_that_learn_the_same_presses_decide_nothing() -> None:
 
 
 def test_a_method_alone_and_methods_on_other_parts_are_undecided() -> None:
-    """There is nothing to compare with."""
     a, b = values(0.9, 0.01), drawn({("other", k): 0.1 for k in range(10)})
 
     assert "alone" in rank({"a": a}).why

@@ -50,7 +50,6 @@ def test_nominal_presses_come_first() -> None:
     ],
 )
 def test_presses_that_cannot_be_studied_are_a_sentence(presses: list[LabelledPress], said: str) -> None:
-    """One class alone, or mixed sizes."""
     with pytest.raises(DatasetError, match=said):
         presses_of(dataset(*presses), "PZ1", "pos1")
 

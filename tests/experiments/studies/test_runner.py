@@ -14,7 +14,6 @@ from edge.core.errors import StoreError
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_every_cell_has_a_row(rows: Rows, counted: Counted, jobs: int) -> None:
-    """With the cell's fields and what was measured."""
     run(cells(4), counted, rows, jobs=jobs, progress=quiet)
 
     assert seeds_of(rows.read()) == [0, 1, 2, 3]
@@ -32,7 +31,6 @@ def test_cells_with_a_row_are_not_run_again(rows: Rows, counted: Counted) -> Non
 
 
 def test_an_interrupted_run_continues(rows: Rows, counted: Counted) -> None:
-    """What was finished before the interrupt is kept."""
     with pytest.raises(KeyboardInterrupt):
         run(cells(4), Interrupted(counted, 2), rows, progress=quiet)
     assert seeds_of(rows.read()) == [0, 1]
@@ -43,7 +41,6 @@ def test_an_interrupted_run_continues(rows: Rows, counted: Counted) -> None:
 
 
 def test_the_cells_of_a_process_that_dies_are_run_again(rows: Rows, counted: Counted) -> None:
-    """One of two is killed in the middle of a cell."""
     run(cells(6), DiesOnce(counted, 3), rows, jobs=2, progress=quiet)
 
     assert seeds_of(rows.read()) == list(range(6))

@@ -26,7 +26,6 @@ def test_a_difference_within_the_noise_is_no_difference() -> None:
 
 
 def test_an_undefined_accuracy_is_never_on_the_front() -> None:
-    """However fast the point is."""
     assert front([None, 0.1], [1, 10]) == [1]
 
 
@@ -39,6 +38,5 @@ def test_the_picture_of_an_older_row_is_not_waited_for() -> None:
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.floats(0.5, 5)), min_size=1, max_size=8))
 def test_some_point_is_always_on_the_front(points: list[tuple[float, float]]) -> None:
-    """Domination has no circles."""
     accuracy, times = zip(*points, strict=True)
     assert front(list(accuracy), list(times))

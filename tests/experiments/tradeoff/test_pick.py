@@ -20,7 +20,6 @@ def chosen(limits: Limits) -> str | None:
 
 
 def test_the_most_accurate_point_within_the_limits_is_chosen() -> None:
-    """Each limit alone moves the choice."""
     assert chosen({"time": 100}) == "inreach.t.lr.40"
     assert chosen({"presses": 20}) == "spade.t.lr.20"
     assert chosen({"presses": 20, "bank": 2}) == "padim.t.lr.20"
@@ -60,6 +59,5 @@ def test_a_peer_and_an_undefined_accuracy_are_never_chosen() -> None:
 
 @pytest.mark.parametrize("text", ["20", "ms", "0ms", "-3ms", "20 MB", "1e3ms"])
 def test_anything_else_is_refused_with_an_example(text: str) -> None:
-    """One sentence that shows how to write it."""
     with pytest.raises(ConfigError, match=r"--within .* is not understood; .* such as --within 20ms"):
         read_limits(text, None, None)

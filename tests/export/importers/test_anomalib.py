@@ -134,7 +134,6 @@ def test_a_lower_rank_states_its_loss() -> None:
 
 
 def steps(content: dict[Any, Any]) -> list[Any]:
-    """The steps of the stored pre-processor."""
     found: list[Any] = content["anomalib_pre_processor_config"]["transform"]["init_args"]["transforms"]
     return found
 

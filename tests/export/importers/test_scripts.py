@@ -372,7 +372,6 @@ WRONG: dict[str, tuple[Any, Importer, dict[str, Any], str]] = {
 
 @pytest.mark.parametrize("case", WRONG)
 def test_a_wrong_script_file_is_named(tmp_path: Path, case: str) -> None:
-    """File, field, found and expected."""
     content, importer, values, sentence = WRONG[case]
     path = stored(tmp_path, content)
 

@@ -56,7 +56,6 @@ def test_equal_scores_leave_room_for_rounding() -> None:
     ],
 )
 def test_what_gives_no_threshold_is_refused(scores: list[float], alpha: float, sentence: str) -> None:
-    """Fewer than four scores, a rate outside 0 and 1, a score that is not finite."""
     with pytest.raises(FitError, match=sentence):
         conformal_threshold(scores, alpha)
 

@@ -71,7 +71,6 @@ def test_blinking_is_half_of_the_time() -> None:
 
 
 def test_a_pulse_is_no_level() -> None:
-    """It is off until it is given."""
     pulse = OutputRule(6, frozenset({"fail"}), pulse_ns=MS, deadline_ns=MS)
 
     assert on(StationView("ready", "fail"), pulse) == set()
@@ -93,7 +92,6 @@ def test_a_pulse_is_no_level() -> None:
     ],
 )
 def test_a_rule_without_sense_is_refused(change: dict[str, object], words: str) -> None:
-    """One sentence with the channel."""
     with pytest.raises(ValueError, match=words):
         OutputRule(**{"channel": 3, "when": frozenset({"fail"}), **change})  # type: ignore[arg-type]
 

@@ -36,6 +36,5 @@ def test_the_rows_are_read(count: int) -> None:
     ],
 )
 def test_other_indexes_are_refused(data: bytes, sentence: str) -> None:
-    """Each with what was found and expected."""
     with pytest.raises(ValueError, match=sentence):
         read_flat_index(data)
