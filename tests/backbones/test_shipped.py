@@ -64,11 +64,9 @@ def test_the_default_recipe_is_that_of_the_run_that_ships() -> None:
 
 
 def test_the_evaluation_is_of_these_weights_and_settings() -> None:
-    """The trunks that were compared are the files that ship, and the detectors read what they read today.
-
-    A parameter that came later is not among the settings: its default changes nothing. The switches of published
-    defects are the published variant's, off unless named.
-    """
+    """The trunks that were compared are the files that ship, and the detectors read what they read today. A parameter
+    that came later is not among the settings: its default changes nothing. The switches of published defects are the
+    published variant's, off unless named."""
     for name, variant in (("trained", "tactile_resnet18"), ("trained_int8", "tactile_resnet18_int8")):
         assert EVALUATION["trunks"][name]["sha256"] == FACTS["variants"][variant]["sha256"]
     for method, settings in EVALUATION["settings"].items():
@@ -79,10 +77,8 @@ def test_the_evaluation_is_of_these_weights_and_settings() -> None:
 
 
 def test_every_set_was_evaluated() -> None:
-    """No table of the card is missing, and each compares random weights with those that ship.
-
-    Its file says of real touch where the table is.
-    """
+    """No table of the card is missing, and each compares random weights with those that ship. Its file says of real
+    touch where the table is."""
     for name in SETS:
         assert {"trained", "random"} <= {row["backbone"] for row in EVALUATION["sets"][name]["rows"]}
 
@@ -90,8 +86,7 @@ def test_every_set_was_evaluated() -> None:
 @pytest.mark.parametrize("name", ["random-parts", "parts", "sensor"])
 def test_it_is_better_than_random_on_what_it_never_saw(name: str) -> None:
     """In the shipped evaluation every detector has a higher AU-PRO on unseen parts than with random weights, and loses
-    less than 0.005 of it with the int8 trunk.
-    """
+    less than 0.005 of it with the int8 trunk."""
     found = {
         (row["backbone"], row["detector"]): row["measures"]["aupro_fpr01"]["value"]
         for row in EVALUATION["sets"][name]["rows"]

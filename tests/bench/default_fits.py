@@ -170,11 +170,9 @@ JUDGEMENT: Mapping[str, Maker] = {
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """What a gateway makes of n presses.
-
-    maps: (n, h, w), 0 without a pose; scores: (n,), without a pose twice the highest one; is_lost, fails, is_peak:
-    bool (n,), rejected for want of a pose, above the threshold, and highest within 6 pixels of the damage.
-    """
+    """What a gateway makes of n presses. maps: (n, h, w), 0 without a pose; scores: (n,), without a pose twice the
+    highest one; is_lost, fails, is_peak: bool (n,), rejected for want of a pose, above the threshold, and highest
+    within 6 pixels of the damage."""
 
     maps: NDArray[np.float32]
     scores: NDArray[np.float64]
@@ -227,10 +225,8 @@ def measure(fitted: Fitted, masks: NDArray[np.bool_], seen: Scores) -> dict[str,
 def draw_presses(
     fitted: Fitted, frames: NDArray[np.uint8], masks: NDArray[np.bool_], seen: Scores
 ) -> NDArray[np.uint8]:
-    """Draw ten presses as a station shows them, with the damage outlined, uint8 (h, w, 3); the misses first.
-
-    The kinds of miss take turns, each from the lowest score on (false alarms from the highest).
-    """
+    """Draw ten presses as a station shows them, with the damage outlined, uint8 (h, w, 3); the misses first. The kinds
+    of miss take turns, each from the lowest score on (false alarms from the highest)."""
     is_damaged = masks.any(axis=(1, 2))
     outcomes = {
         "MISSED, peak elsewhere": is_damaged & ~seen.fails & ~seen.is_lost & ~seen.is_peak,

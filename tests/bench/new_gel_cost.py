@@ -106,10 +106,8 @@ class GelPresses:
 
 
 def measure_part(number: int, is_other_unit: bool) -> Iterator[Row]:
-    """Measure every method and way on the random part of this number.
-
-    is_other_unit: the hard limit, a unit with other lamps and the strongest other response that was seen.
-    """
+    """Measure every method and way on the random part of this number. is_other_unit: the hard limit, a unit with other
+    lamps and the strongest other response that was seen."""
     rng = np.random.default_rng([SEED, number])
     shape = random_part(np.random.default_rng([SEED, number, 1]))
     before = another_gel(SENSORS["unit_a" if is_other_unit else "unit_b"], rng)

@@ -47,9 +47,7 @@ NAMES: Final = {"padim": "anomalib_padim", "patchcore": "anomalib_patchcore"}
 
 def peers(run: Run, frames: Mapping[str, Sequence[CameraFrame]]) -> list[tuple[Row, Lane]]:
     """Return the rows, not yet timed, and lanes of both models, fitted on the first presses and scored as every point.
-
-    frames: camera frames to be timed on, by the name of the profile.
-    """
+    frames: camera frames to be timed on, by the name of the profile."""
     import torch
 
     torch.set_num_threads(run.settings.threads)
@@ -106,11 +104,9 @@ def learn(method: str, model: Any, planes: Sequence[Any]) -> None:
 
 
 def map_large_blocks() -> None:
-    """Have glibc map large blocks one by one, so that a freed one is given back.
-
-    PatchCore takes 12 MB for each of 1,567 selections of 20 presses, and by default the heap grows with most of them:
-    18 GB at the peak, 1.6 GB with this (measured with torch 2.14). Another C library is left as it is.
-    """
+    """Have glibc map large blocks one by one, so that a freed one is given back. PatchCore takes 12 MB for each of
+    1,567 selections of 20 presses, and by default the heap grows with most of them: 18 GB at the peak, 1.6 GB with
+    this (measured with torch 2.14). Another C library is left as it is."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is not None:
         mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)

@@ -194,9 +194,7 @@ def _stored(bank: Bank, name: str) -> NDArray[Any]:
 
 def acquisition(pool: Pool, order: Sequence[int]) -> dict[str, Any]:
     """Press by press until it is enough. forecasts: [presses seen, presses forecast in all] after every round.
-
-    covered: the presses after which more did not pay; it may come before the end, and is None if it never came.
-    """
+    covered: the presses after which more did not pay; it may come before the end, and is None if it never came."""
     distances, forecasts, covered, stop = PlaceDistances(), list[tuple[int, int]](), None, None
     names = pool.presses.specimens
     assert pool.presses.touched is not None

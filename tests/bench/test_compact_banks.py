@@ -103,10 +103,8 @@ class Measured(NamedTuple):
 
 @pytest.mark.parametrize("name", WHOLE)
 def test_accuracy_of_stored_banks(name: str, taken: list[Taken], request: pytest.FixtureRequest) -> None:
-    """Prints the three banks' AU-PRO and bytes: a line per part, then the means.
-
-    The stored one keeps the budget, or loses no more than is known.
-    """
+    """Prints the three banks' AU-PRO and bytes: a line per part, then the means. The stored one keeps the budget, or
+    loses no more than is known."""
     detector, whole = WHOLE[name]
     rows = []
     for number, part in enumerate(taken):

@@ -324,8 +324,7 @@ def test_how_long_a_verdict_needs_to_the_plc(
     tmp_path: Path, recording: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From the trigger and from the verdict to the answer over Modbus TCP, asked every millisecond by another process,
-    at a running station: half of the answers come within 5 ms of the verdict.
-    """
+    at a running station: half of the answers come within 5 ms of the verdict."""
     port = free_port()
     table = f'[handshake]\nplugin = "modbus"\noptions = {{ port = {port} }}\n'
     config = load_config(station_config(tmp_path, recording, bundle, pace=1.0, loop=True, tables=table))

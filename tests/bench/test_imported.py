@@ -170,10 +170,8 @@ def test_the_gateway_gives_the_same_order(trained: Trained, made: tuple[str, Imp
 
 
 def _order(expected: Mapping[str, NDArray[Any]], scores: NDArray[np.float64]) -> float:
-    """The rank correlation over the presses that the model was not fitted to.
-
-    The distance of the others is (n - 1) / sqrt(n), all alike but for rounding, where n is less than the channels.
-    """
+    """The rank correlation over the presses that the model was not fitted to. The distance of the others is (n - 1) /
+    sqrt(n), all alike but for rounding, where n is less than the channels."""
     new = ~expected["trained"]
     return rank_correlation(expected["score"][new], scores[new])
 

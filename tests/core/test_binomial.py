@@ -61,10 +61,8 @@ def test_more_alarms_than_trials_are_refused(alarms: int, trials: int) -> None:
 
 @pytest.mark.parametrize("rank", [19, 20])
 def test_a_threshold_from_the_scores_keeps_the_limit(rank: int) -> None:
-    """4,000 sets of 20 uniform scores, the threshold at one of them: its rate is above the limit in 10 %.
-
-    The threshold is chosen from the scores that are counted, and the limit holds all the same.
-    """
+    """4,000 sets of 20 uniform scores, the threshold at one of them: its rate is above the limit in 10 %. The
+    threshold is chosen from the scores that are counted, and the limit holds all the same."""
     thresholds = np.sort(np.random.default_rng(0).uniform(size=(4000, 20)), axis=1)[:, rank - 1]
     broken = np.mean(1 - thresholds > upper_rate(20 - rank, 20))
     assert abs(broken - 0.1) < 4 * (0.09 / 4000) ** 0.5

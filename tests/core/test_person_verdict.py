@@ -61,11 +61,9 @@ def test_of_two_people_who_agree_the_newest_kind_holds() -> None:
 
 
 def test_false_alarms_and_escapes_are_of_the_presses_that_people_judged() -> None:
-    """Ten presses by hand: yield 6 of 10, one of two judged fails was good, one of three judged passes was damaged.
-
-    90 % limits of Clopper and Pearson by hand: 1 of 2 from 1 - 0.9^(1/2) = 5 % to 95 %; 1 of 3 from
-    1 - 0.9^(1/3) = 3 % to the root of (1-x)^3 + 3x(1-x)^2 = 0.1, 80 %.
-    """
+    """Ten presses by hand: yield 6 of 10, one of two judged fails was good, one of three judged passes was damaged. 90
+    % limits of Clopper and Pearson by hand: 1 of 2 from 1 - 0.9^(1/2) = 5 % to 95 %; 1 of 3 from 1 - 0.9^(1/3) = 3 %
+    to the root of (1-x)^3 + 3x(1-x)^2 = 0.1, 80 %."""
     agreement = Agreement()
     for verdict, saying in (
         *(("pass", None),) * 3,

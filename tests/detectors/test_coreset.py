@@ -31,9 +31,8 @@ def greedy(points: np.ndarray, count: int, start: int) -> tuple[list[int], float
 def test_the_lazy_coreset_is_the_full_one(
     sizes: tuple[int, float], n: int, c: int, count: int, seed: int
 ) -> None:
-    """Integers with many ties: the same rows in the same order as with all distances, the lowest first, also
-    where few rows are updated together and the level falls in large or small steps (`sizes`).
-    """
+    """Integers with many ties: the same rows in the same order as with all distances, the lowest first, also where few
+    rows are updated together and the level falls in large or small steps (`sizes`)."""
     rng = np.random.default_rng(seed)
     points = rng.integers(0, 4, (n, c)).astype(np.float32)
     start = int(rng.integers(n))

@@ -217,8 +217,7 @@ def test_unfit_presses_are_refused() -> None:
 
 def test_a_published_choice_of_channels_is_taken() -> None:
     """A list counted through all taps replaces the draw, whatever the seed: the bank keeps exactly those channels, and
-    scores equal those of taps with only these channels.
-    """
+    scores equal those of taps with only these channels."""
     listed = (39, 3, 8, 19, 0)
     parameters = padim.parameters("paper", channel_list=listed)
     train = features(6, seed=1)

@@ -24,10 +24,8 @@ def test_the_graph_is_the_oracle_of_layers_in_few_directions(n: int) -> None:
 
 
 def test_the_gallery_touches_the_same_places() -> None:
-    """The means of a press and its mirror image are equal; the regions choose the one like the query.
-
-    The mirror image has exactly the query's strength, so the means over the complete picture choose it.
-    """
+    """The means of a press and its mirror image are equal; the regions choose the one like the query. The mirror image
+    has exactly the query's strength, so the means over the complete picture choose it."""
     left = {
         tap: maps * (np.arange(maps.shape[3]) < maps.shape[3] // 2) for tap, maps in presses_of(1).items()
     }
@@ -59,8 +57,7 @@ def test_the_window_keeps_matches_near() -> None:
 @pytest.mark.parametrize("presses", [1, 2])
 def test_spade_pytorch_loses_the_last_columns(presses: int) -> None:
     """Published by SPADE-pytorch: of 12x12 cells, or of two presses', full chunks of 100 are searched, column by
-    column. So the last columns of the last press are not searched, by the graph and the oracle alike.
-    """
+    column. So the last columns of the last press are not searched, by the graph and the oracle alike."""
     taps = {"layer1": (5, 12, 12)}
     at = grid(taps)
     nominal = {"layer1": np.random.default_rng(0).normal(size=(presses, 5, 12, 12)).astype(np.float32)}

@@ -56,10 +56,8 @@ def frames(
     n: int, seed: int, touched: np.ndarray = TOUCHED, moving: float = 0.0, noise: float = 0.02
 ) -> Features:
     """n presses: gel with a little noise, and where it is touched a relief that differs by 0.2 from press to press.
-
     Elsewhere the gel may vary. moving: by how much, in the same two directions at every cell. noise: by how much each
-    number varies independently.
-    """
+    number varies independently."""
     gel, varied, moved = _drawn(n, seed, noise)
     return {"layer1": (gel + touched[::4, ::4] * varied + moving * moved * ~KEPT).astype(np.float32)}
 
@@ -102,10 +100,8 @@ def touched_rows(p: Any, bank: Bank, nominal: Features, grid: Grid, kept: np.nda
 
 @EACH
 def test_free_gel_does_not_fill_the_bank(detector: Any) -> None:
-    """95 % of the gel is free and varies like the presses: 60 % of the rows are of touched cells.
-
-    The facts have the number of the others.
-    """
+    """95 % of the gel is free and varies like the presses: 60 % of the rows are of touched cells. The facts have the
+    number of the others."""
     features = frames(24, 0, noise=0.2)
     nominal = Nominal(features, TOUCHED, frames(3, 5, NOWHERE, noise=0.2))
     p, bank = fitted(detector, nominal, **EXACT)

@@ -43,9 +43,7 @@ EACH = pytest.mark.parametrize("method", METHODS)
 
 def frames(n: int, seed: int, touched: np.ndarray = TOUCHED, restless: float = 1.0) -> Features:
     """n presses: still gel with a little noise, and where it is touched a relief that varies from press to press.
-
-    restless: the factor of the gel's noise outside the touched places.
-    """
+    restless: the factor of the gel's noise outside the touched places."""
     part, rng = np.random.default_rng(7), np.random.default_rng(seed)
     found = {}
     for tap, shape in TAPS.items():

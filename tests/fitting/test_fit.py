@@ -318,8 +318,7 @@ def test_the_detector_is_given_touch_and_free_gel() -> None:
 
 def test_presses_that_lie_anywhere_are_refused_by_the_methods_that_mind() -> None:
     """Contacts 8 mm apart: PaDiM refuses, or warns where they are meant; InReaCh says nothing, nor does anyone to a
-    millimetre or where no touch is known.
-    """
+    millimetre or where no touch is known."""
 
     class Padim(tiny.TinyDetector):
         name = "padim"

@@ -25,10 +25,8 @@ KILLS = 8
 
 
 class Kills:
-    """Copies the files of a station before each commit and write once something has pressed.
-
-    The shared memory of the journal is none of them: SQLite makes it again where no other process has the file.
-    """
+    """Copies the files of a station before each commit and write once something has pressed. The shared memory of the
+    journal is none of them: SQLite makes it again where no other process has the file."""
 
     def __init__(self, station: Path, copies: Path) -> None:
         self.is_armed = False

@@ -258,10 +258,8 @@ class Job:
 
 
 class Fault:
-    """The reader loses its sensor while the loop sees the gel again: the station is halted, with the alarm.
-
-    The order that breaks it without its lock is the 300th and more that is tried: there every unguarded access counts.
-    """
+    """The reader loses its sensor while the loop sees the gel again: the station is halted, with the alarm. The order
+    that breaks it without its lock is the 300th and more that is tried: there every unguarded access counts."""
 
     unlocked: ClassVar = {"error_on_any_race": True}
 
@@ -362,11 +360,9 @@ def test_no_order_of_its_threads_breaks_it(kind: type, no_lock: Any, threads: An
 
 @pytest.mark.parametrize(("kind", "no_lock", "threads"), SHARED, ids=NAMES)
 def test_without_its_lock_some_order_breaks_it(kind: type, no_lock: Any, threads: Any) -> None:
-    """The lock is needed, and the exploration would find that it is missing.
-
-    `unlocked` is not for the test with the lock: frontrun 0.7 tells of a release after it is done, so that what the
-    next thread does until then counts as a race, at random.
-    """
+    """The lock is needed, and the exploration would find that it is missing. `unlocked` is not for the test with the
+    lock: frontrun 0.7 tells of a release after it is done, so that what the next thread does until then counts as a
+    race, at random."""
     assert breaks(kind, threads, no_lock(), **getattr(kind, "unlocked", {})) is not None
 
 

@@ -31,10 +31,8 @@ def record_press(store: Store, n: int) -> str:
 def test_a_broker_killed_in_the_middle_and_restarted_loses_nothing(
     any_broker: tuple[LocalBroker, str], tmp_path: Path, sink_to: SinkTo, listen: Listen
 ) -> None:
-    """Each press arrives at least once and, counted by id, exactly once; its heatmap too; `last` is the newest.
-
-    The worker is stepped by hand, so that the subscriber is always back before the gateway sends.
-    """
+    """Each press arrives at least once and, counted by id, exactly once; its heatmap too; `last` is the newest. The
+    worker is stepped by hand, so that the subscriber is always back before the gateway sends."""
     broker, protocol = any_broker
     path = tmp_path / "gelgate.db"
     sink = sink_to(broker, protocol=protocol)

@@ -123,9 +123,7 @@ def test_a_broker_that_is_down_or_killed_is_found_again(
 
 def test_what_was_given_up_is_never_sent_later(sink_to: SinkTo, listen: Listen) -> None:
     """A broker that stops answering: `send` gives up, and the library's queue is discarded with the connection.
-
-    Checked by letting the library reconnect: its thread, and with it the message, then stays alive.
-    """
+    Checked by letting the library reconnect: its thread, and with it the message, then stays alive."""
     require("mosquitto")
     with LocalBroker("mosquitto") as broker:
         sink = sink_to(broker, protocol="5", acknowledge_s=1.0)

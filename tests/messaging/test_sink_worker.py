@@ -81,9 +81,7 @@ def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
     store: Store, path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Acknowledgements that find no room are stored later; the pauses grow, one log line, and the state is reported.
-
-    Without the memory of accepted rows, a result was sent again at every attempt while the disk was full.
-    """
+    Without the memory of accepted rows, a result was sent again at every attempt while the disk was full."""
     sink, retained_state = ScriptedSink(), RetainedState()
     with FullOutbox(path) as outbox:
         outbox.register(["mqtt"])

@@ -19,9 +19,7 @@ from edge.model.session import open_session
 
 def probe() -> bytes:
     """A 3x3 convolution of 8 to 8 channels in uint8 times int8, every weight 127 steps: any pair is too much.
-
-    `edge/model/saturation_probe.onnx` is this graph; where it must change, write these bytes there.
-    """
+    `edge/model/saturation_probe.onnx` is this graph; where it must change, write these bytes there."""
 
     def stored(name: str, values: np.ndarray) -> onnx.TensorProto:
         return numpy_helper.from_array(values, name)

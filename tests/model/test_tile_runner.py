@@ -124,10 +124,8 @@ def test_kept_tiles_score_the_same(bundle: Bundle) -> None:
 
 @pytest.mark.parametrize("place", [(2, 130), (60, 100), (90, 155), (40, 70)], ids=str)
 def test_a_contact_where_none_belongs_is_seen(bundle: Bundle, place: tuple[int, int]) -> None:
-    """A press that touches a tile without nominal contact scores as if no tile were skipped.
-
-    Checked by removal: with `matching` answering all untouched tiles, the foreign contact scores like a nominal press.
-    """
+    """A press that touches a tile without nominal contact scores as if no tile were skipped. Checked by removal: with
+    `matching` answering all untouched tiles, the foreign contact scores like a nominal press."""
     row, column = place
     odd = presses(1, 5)[0]
     plain = Scorer(bundle).score(odd).anomaly_score
@@ -174,10 +172,8 @@ def test_a_press_scores_the_same_alone_and_in_a_batch(bundle: Bundle) -> None:
     marks=st.lists(st.tuples(st.integers(0, 95), st.integers(0, 159)), max_size=3),
 )
 def test_any_set_of_tiles_may_be_skipped(untouched: set[int], marks: list[tuple[int, int]]) -> None:
-    """A tile's features are those of its frame, or of the free gel where it is untouched and looks like it.
-
-    Whichever tiles are left out and wherever something touches, no tile with a mark in it is skipped.
-    """
+    """A tile's features are those of its frame, or of the free gel where it is untouched and looks like it. Whichever
+    tiles are left out and wherever something touches, no tile with a mark in it is skipped."""
     runner = TileRunner(SESSION, TILES, MAPS)
     gel, frame = free_gel(2, 1)
     frame = frame.copy()

@@ -44,10 +44,8 @@ def unit(real_tactile: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def station(unit: Path, real_tactile: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A station's configuration: a bundle from 24 real presses; 6 others and a thread are in its recording.
-
-    By InReaCh: methods that compare place with place pass the thread here, and a fit of theirs warns.
-    """
+    """A station's configuration: a bundle from 24 real presses; 6 others and a thread are in its recording. By
+    InReaCh: methods that compare place with place pass the thread here, and a fit of theirs warns."""
     folder = tmp_path_factory.mktemp("real")
     detector = registry.detector("inreach")
     trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters()))

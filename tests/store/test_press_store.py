@@ -106,9 +106,7 @@ def killed_at(path: Path, press: PressRecord, messages: MakeMessages, statement:
 @pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
 def test_dying_between_any_two_statements_leaves_all_or_nothing(path: Path) -> None:
     """Killed at every single statement of a press, then recorded again after the restart: one press, one count.
-
-    Checked by taking BEGIN IMMEDIATE out of `Database.writing`: the count then differs from the presses.
-    """
+    Checked by taking BEGIN IMMEDIATE out of `Database.writing`: the count then differs from the presses."""
     Store(path).close()
     press = make_press(1)
     statement, deaths = 1, 0

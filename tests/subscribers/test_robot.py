@@ -24,9 +24,8 @@ ROOT = "gelgate/site/line/station/gel/v1"
 def test_the_robot_lifts_each_part_once_when_its_verdict_is_recorded(
     tmp_path: Path, strength: float | None
 ) -> None:
-    """In real time: once for each press, with its id. Where presses are too deep it is told to go back instead.
-
-    The film is shown again until three presses were seen: a machine that is busy elsewhere may miss some."""
+    """In real time: once for each press, with its id. Where presses are too deep it is told to go back instead. The
+    film is shown again until three presses were seen: a machine that is busy elsewhere may miss some."""
     if "mosquitto" not in available_brokers():
         pytest.skip("SKIPPED, NOT TESTED: mosquitto is not installed")
     bundle = small_bundle(tmp_path / "bundle", press_recording(tmp_path / "nominal", 12, seed=1))

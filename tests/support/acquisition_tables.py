@@ -74,10 +74,8 @@ def promise_line(design: str, found: Sequence[Mapping[str, Any]]) -> str:
 
 def seen_as_broken(presses: int, rate: float) -> float:
     """How often fresh presses exceed a rate that is promised exactly: their number is finite, so they scatter too.
-
     Without a difference between the presses learnt and the fresh ones every order of their scores is as likely. More
-    than `rate` of the fresh ones alarm where the highest scores of all are theirs: C(m, k) / C(m + n, k).
-    """
+    than `rate` of the fresh ones alarm where the highest scores of all are theirs: C(m, k) / C(m + n, k)."""
     alarms = math.floor(FRESH * rate) + 1
     return math.comb(FRESH, alarms) / math.comb(FRESH + presses, alarms)
 

@@ -119,9 +119,7 @@ def network(folder: Path, kind: str, options: dict, size: tuple[int, int]):
 
 def computed(model, planes: torch.Tensor):
     """Scores (n,), maps (n, h, w) or None, and processor seconds (n, 2), picture by picture: of all, of the backbone.
-
-    One thread: its processor time hardly depends on what else the machine does.
-    """
+    One thread: its processor time hardly depends on what else the machine does."""
     maps, scores, times = [], [], []
     torch.set_num_threads(1)
     with torch.no_grad():

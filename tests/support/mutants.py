@@ -204,10 +204,8 @@ def tests_of_lines(folder: str) -> tuple[Mapping[str, Mapping[str, list[str]]], 
 
 
 def run(tree: Path, tests: Sequence[str], variables: Mapping[str, str], within: Sequence[str] = ()) -> str:
-    """Run these tests against the program in a folder. Return "passed", "failed" or "late".
-
-    within: the words of a command that ends them.
-    """
+    """Run these tests against the program in a folder. Return "passed", "failed" or "late". within: the words of a
+    command that ends them."""
     with tempfile.NamedTemporaryFile("w", suffix=".txt") as named:
         named.write("\n".join(tests))
         named.flush()
@@ -227,11 +225,9 @@ def limits(cpu_s: float) -> list[str]:
 
 
 def judge(mutant: Mutant, tree: Path) -> str:
-    """Run the tests of its line, or of its whole file for a line that runs at import.
-
-    A mutant that is late is killed only where the program passes in a third of the time at once afterwards: a machine
-    that is busy, or a test that takes long by itself, notices nothing.
-    """
+    """Run the tests of its line, or of its whole file for a line that runs at import. A mutant that is late is killed
+    only where the program passes in a third of the time at once afterwards: a machine that is busy, or a test that
+    takes long by itself, notices nothing."""
     path = tree / mutant.path
     sound = path.read_bytes()
     for folder in mutant.folders:

@@ -228,9 +228,7 @@ def free_film(seed: int, frames: int) -> Film:
 @dataclass(frozen=True)
 class Outcome:
     """What became of one press. share: depth at the chosen frame as a share of the press's largest; None: not settled.
-
-    began: how many presses were counted during it. onset: the depth at which it was noticed.
-    """
+    began: how many presses were counted during it. onset: the depth at which it was noticed."""
 
     film: Film
     press: Press
@@ -240,11 +238,8 @@ class Outcome:
 
 
 def judged(film: Film, tracker: Any) -> tuple[list[Outcome], int, int]:
-    """Each press's outcome, how many were invented, and how many frames there were.
-
-    tracker: anything with the methods of `ContactTracker`. Events go by their names, so that an older program can be
-    judged by the same films.
-    """
+    """Each press's outcome, how many were invented, and how many frames there were. tracker: anything with the methods
+    of `ContactTracker`. Events go by their names, so that an older program can be judged by the same films."""
     times: list[float] = []
     began: list[tuple[int, float]] = []
     chosen: dict[int, int] = {}

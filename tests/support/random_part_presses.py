@@ -23,11 +23,9 @@ DEPTH_MM = 0.4
 
 @dataclass(frozen=True)
 class RandomPartPresses:
-    """One random part on one gel. A piece is clamped once, by hand, and then pressed by a robot: its presses are alike.
-
-    shapes, number: which part. presses: how many the gel has in all; each of them falls at a moment of its own, drawn
-    at random, so that wear and drift tell nothing about which presses were learnt.
-    """
+    """One random part on one gel. A piece is clamped once, by hand, and then pressed by a robot: its presses are
+    alike. shapes, number: which part. presses: how many the gel has in all; each of them falls at a moment of its own,
+    drawn at random, so that wear and drift tell nothing about which presses were learnt."""
 
     shapes: int
     number: int
@@ -44,9 +42,7 @@ class RandomPartPresses:
 
     def damaged(self, piece: int, order: int) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """One press of a damaged piece: uint8 (240, 320, 3) RGB, and where it differs from the sound one, (240, 320).
-
-        The kinds of damage take turns; its severity is 0.3 to 1.
-        """
+        The kinds of damage take turns; its severity is 0.3 to 1."""
         kinds, severity = tuple(DEFECTS), float(self._streams("severity", piece).uniform(0.3, 1.0))
         shape = specimen(self._shape, self._streams("specimen", piece))
         placed = self._gel.place(

@@ -92,10 +92,8 @@ class Object:
 
 
 def ball(name: str, sensor: str, paths: tuple[str, str, str], other: str = "", *marred: str) -> list[Object]:
-    """Return the same presses of a ball registered, and anywhere in complete pictures.
-
-    paths: folder, pattern of the presses, and the free gel. other: the folder of another ball by the same sensor.
-    """
+    """Return the same presses of a ball registered, and anywhere in complete pictures. paths: folder, pattern of the
+    presses, and the free gel. other: the folder of another ball by the same sensor."""
     folder, pattern, free = paths
 
     def read(data: Path) -> Presses:
@@ -246,10 +244,8 @@ _TEXT = (
 
 def real_touch_trial(data: Path, name: str, edits: int = EDITS) -> Trial:
     """Learnt presses, held-out ones, small edits of those, other objects, and the held-out ones under another light.
-
     data: the folder of real tactile frames. Errors: DatasetError when the frames are not in it, or fewer than four
-    held-out presses are in the region.
-    """
+    held-out presses are in the region."""
     return touch_trial(data, next(found for found in OBJECTS if found.name == name), edits)
 
 

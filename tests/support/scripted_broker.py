@@ -16,10 +16,8 @@ NOT_AUTHORIZED, UNSUPPORTED = 0x87, 0x84
 @dataclass
 class ScriptedBroker:
     """connects: what the next CONNECTs get, `accept` when it is used up: accept, silent, close, refuse (this level).
-
     silent_at_5: no CONNECT of level 5 is answered. topics: last level of a topic to deny, silent or close; others are
-    acknowledged.
-    """
+    acknowledged."""
 
     connects: list[str] = field(default_factory=list)
     topics: dict[str, str] = field(default_factory=dict)

@@ -164,10 +164,8 @@ def station_config(
     sinks: str = "",
     tables: str = "",
 ) -> Path:
-    """Write `gelgate.toml` into the folder; messages go to `out/` in it unless `sinks` is given.
-
-    bundle: its folder, or lines of the table `inspection`. store: lines of that table. tables: further ones.
-    """
+    """Write `gelgate.toml` into the folder; messages go to `out/` in it unless `sinks` is given. bundle: its folder,
+    or lines of the table `inspection`. store: lines of that table. tables: further ones."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "gelgate.toml"
     text = CONFIG.format(
@@ -193,9 +191,7 @@ Configure = Callable[..., Path]
 
 def mark_tried(database: Path, *bundles: Path) -> None:
     """Leave the bundles as tried by an earlier start: a child process for one takes longer than most tests.
-
-    tests/model/test_trial.py has what the child holds.
-    """
+    tests/model/test_trial.py has what the child holds."""
     digests = [hashlib.sha256((bundle / "manifest.json").read_bytes()).hexdigest() for bundle in bundles]
     programs = f"gelgate {version('gelgate')} onnxruntime {version('onnxruntime')}"
     tried = Path(f"{database}.tried")

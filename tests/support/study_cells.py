@@ -54,9 +54,7 @@ class Counted:
 @dataclass(frozen=True)
 class DiesOnce:
     """Counts, and kills its own process at the first evaluation of one cell: as a worker out of memory is killed.
-
-    always: at every evaluation.
-    """
+    always: at every evaluation."""
 
     counted: Counted
     seed: int

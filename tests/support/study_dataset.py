@@ -10,10 +10,8 @@ LR, HR = (320, 240), (1280, 720)
 
 
 def study_dataset(root: Path, part: str = "PZ3", positions: tuple[str, ...] = ("pos1", "pos2")) -> Path:
-    """Per position 8 nominal presses of 4 specimens and 2 damaged ones, each position with a relief of its own.
-
-    The first position has both resolutions, the others only 320x240. Damage is a bright square.
-    """
+    """Per position 8 nominal presses of 4 specimens and 2 damaged ones, each position with a relief of its own. The
+    first position has both resolutions, the others only 320x240. Damage is a bright square."""
     for index, position in enumerate(positions):
         relief = _relief(index)
         for specimen in range(1, 7):

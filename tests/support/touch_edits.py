@@ -69,11 +69,9 @@ def relief(rgb: U8, free: U8) -> F32:
 
 
 def add_relief(rgb: U8, donors: Sequence[F32], spots: Mask, rng: np.random.Generator) -> Edited:
-    """A press with a piece of another press's relief, shrunk, feathered, raised or sunk.
-
-    donors: the `relief` of other presses. spots: where the piece's centre may lie, bool (h, w).
-    Errors: DatasetError where no piece of any donor shows, or no spot is free.
-    """
+    """A press with a piece of another press's relief, shrunk, feathered, raised or sunk. donors: the `relief` of other
+    presses. spots: where the piece's centre may lie, bool (h, w). Errors: DatasetError where no piece of any donor
+    shows, or no spot is free."""
     places = _places(spots, "place for an edit")
     for index in rng.permutation(len(donors)):
         donor = donors[index]

@@ -65,8 +65,7 @@ def test_int8_keeps_inputs_outputs_and_features(trunk: TrunkNetwork, monkeypatch
 
 def test_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file and --set give the recipe: one small step runs, a second start in the same folder is refused, and a
-    missing torch names the extra.
-    """
+    missing torch names the extra."""
     recipe, run = tmp_path / "small.toml", tmp_path / "run"
     recipe.write_text("steps = 1\npairs = 1\nside = 32\n")
     small = ("lab", "train-backbone", run, "--recipe", recipe, "--set", "side=64", "--device", "cpu")

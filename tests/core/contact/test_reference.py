@@ -182,10 +182,8 @@ REAL = {
 
 @pytest.mark.parametrize("source", sorted(REAL))
 def test_every_real_press_is_a_touch_whatever_the_exposure(real_tactile: Path, source: str) -> None:
-    """All ball presses of three real sensors, with the light ramped by up to a fifth: touched, and equally large.
-
-    The untouched gel under the same ramp is free; without the fit nearly all of it would count as contact.
-    """
+    """All ball presses of three real sensors, with the light ramped by up to a fifth: touched, and equally large. The
+    untouched gel under the same ramp is free; without the fit nearly all of it would count as contact."""
     free_name, pattern, count = REAL[source]
 
     def view(path: Path) -> View:

@@ -293,11 +293,9 @@ def test_other_arrays_are_refused(view: View, stored: Reference | None, words: s
 
 
 def test_the_real_press_video(real_tactile: Path) -> None:
-    """No contact, press with shear, short lift, press, lift: two presses, each settled once, at these frames.
-
-    A marker gel and a human fingertip at 25 frames a second, 219 frames. By eye the touch begins at frame 57, the short
-    lift is from 154 to 159, and the last lift ends at 209.
-    """
+    """No contact, press with shear, short lift, press, lift: two presses, each settled once, at these frames. A marker
+    gel and a human fingertip at 25 frames a second, 219 frames. By eye the touch begins at frame 57, the short lift is
+    from 154 to 159, and the last lift ends at 209."""
     tracker = ContactTracker()
     found: list[tuple[int, Event]] = []
     for i, view in enumerate(video_views(real_tactile / "gelsightinc__gsrobotics" / "mini_example.avi")):
@@ -315,10 +313,8 @@ def test_the_real_press_video(real_tactile: Path) -> None:
 
 @pytest.mark.parametrize("stride", [2, 3])
 def test_the_real_video_at_lower_rates(real_tactile: Path, stride: int) -> None:
-    """At 12.5 and 8.3 frames a second the same two presses begin and end, each once.
-
-    Whether the ever shearing fingertip counts as still for a moment does depend on the rate.
-    """
+    """At 12.5 and 8.3 frames a second the same two presses begin and end, each once. Whether the ever shearing
+    fingertip counts as still for a moment does depend on the rate."""
     tracker = ContactTracker()
     found: list[Event] = []
     for i, view in enumerate(video_views(real_tactile / "gelsightinc__gsrobotics" / "mini_example.avi")):

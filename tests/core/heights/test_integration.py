@@ -20,8 +20,7 @@ def test_bumps_of_every_size_have_their_height(sigma: int) -> None:
 
 @pytest.mark.parametrize("shape", [(12, 16), (2, 14), (10, 4)])
 def test_it_is_the_least_squares_solution(shape: tuple[int, int]) -> None:
-    """Random slopes, which no surface has: float64, the dense equations, pixels that are not square. Within
-    1e-10."""
+    """Random slopes, which no surface has: float64, the dense equations, pixels that are not square. Within 1e-10."""
     rng = np.random.default_rng(3)
     gx, gy = rng.normal(size=(2, *shape))
     number = np.arange(shape[0] * shape[1]).reshape(shape)

@@ -18,10 +18,8 @@ PACKET_BYTES = 64
 
 
 class FakeLibusb:
-    """Transfers complete in the order of their submission, one per round of events, filled from `packets`.
-
-    A packet is (bytes, status). When none is left, events bring nothing.
-    """
+    """Transfers complete in the order of their submission, one per round of events, filled from `packets`. A packet is
+    (bytes, status). When none is left, events bring nothing."""
 
     def __init__(self, packets: list[tuple[bytes, int]]) -> None:
         self.packets = packets

@@ -74,9 +74,7 @@ def results(folder: Path) -> list[dict[str, Any]]:
 @pytest.mark.parametrize("name", NETWORKS)
 def test_the_gateway_gives_the_scores_of_the_network(name: str, pressed: Pressed, tmp_path: Path) -> None:
     """Input and outputs are found, the scores are anomalib's before its normalisation, the threshold is from presses.
-
-    The networks are hardly trained: a network whose scores fall with a painted square is refused first.
-    """
+    The networks are hardly trained: a network whose scores fall with a painted square is refused first."""
     size, options = NETWORKS[name]
     made = made_by_anomalib(pressed.folder, {name: dict(options)}, size, interpreter())
     expected = np.load(made / f"{name}.npz")["exported_score"].astype(np.float64)

@@ -44,9 +44,8 @@ def test_rendered_damage_is_like_real_damage(
     kind: str, effect: str, likeness: float, station: Station, bench: Bench
 ) -> None:
     """The change of the picture agrees in shape and size with that of a press on a part that is really damaged.
-
-    Without the camera's compression nearly everywhere; with it as far as its rounding, which is of its size, allows.
-    """
+    Without the camera's compression nearly everywhere; with it as far as its rounding, which is of its size,
+    allows."""
     bench = without(bench, effect)
     press = EditedPress(station, np.ascontiguousarray(REGION.crop(bench.press(0))))
     damage = Damage(kind, KINDS[kind].largest_mm / 3, Spot(0.3, -0.4, 0.7))

@@ -89,9 +89,7 @@ def test_one_press_of_each_piece_is_as_if_pieces_were_unknown() -> None:
 @pytest.mark.lab
 def test_the_promise_holds_for_new_pieces() -> None:
     """500 draws of 5 pieces with 10 presses each, alike within a piece: a press of a sixth fails in 1/6 at most.
-
-    Counted by presses one in ten is promised and not kept: 50 presses of 5 pieces are not 50 draws.
-    """
+    Counted by presses one in ten is promised and not kept: 50 presses of 5 pieces are not 50 draws."""
     rng = np.random.default_rng(2)
     draws = (rng.normal(size=(500, 5, 1)) + 0.1 * rng.normal(size=(500, 5, 10))).reshape(500, 50)
     names = [str(k // 10) for k in range(50)]
