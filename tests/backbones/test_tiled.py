@@ -143,9 +143,7 @@ def broken(change: str) -> bytes:
     ],
 )
 @pytest.mark.parametrize("tile", [tile_trunk, mosaic_trunk])
-def test_a_file_that_is_no_trunk_is_refused(
-    tile: Callable[[bytes, Tiles], bytes], change: str, words: str
-) -> None:
+def test_what_is_no_trunk_is_refused(tile: Callable[[bytes, Tiles], bytes], change: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         tile(broken(change), TILES)
 

@@ -79,9 +79,7 @@ def test_a_station_without_a_broker_is_described_too(tmp_path: Path) -> None:
     assert json.loads(text(path, "node-red"))[1]["broker"] == "localhost"
 
 
-def test_a_picture_that_home_assistant_will_not_have_is_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_picture_that_is_not_taken_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """By a station that retains none: the device has no picture, and the sentence says how it gets one."""
     path = tmp_path / "gelgate.toml"
     path.write_text(CONFIG.replace(', home_assistant = "ha"', ""), encoding="utf-8")

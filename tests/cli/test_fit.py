@@ -115,9 +115,7 @@ def test_a_press_is_left_out_by_name(pictures: Path, tmp_path: Path) -> None:
     assert origin.left_out == ("good/3.png",)
 
 
-def test_a_bundle_is_replaced_only_when_asked_and_has_the_next_revision(
-    pictures: Path, tmp_path: Path
-) -> None:
+def test_a_bundle_is_replaced_when_asked_and_has_the_next_revision(pictures: Path, tmp_path: Path) -> None:
     """A station then knows which of two bundles is older; a number that is given is used."""
     found = []
     for options in ((), ("--overwrite",), ("--overwrite", "--revision", "9"), ("--overwrite",)):

@@ -89,9 +89,7 @@ def bundle_on_a_new_gel(database: Path, presses: int) -> None:
             store.write("", partial(gel_proofs.count, key=key, is_alarm=False))
 
 
-def test_prove_is_refused_until_presses_are_enough(
-    database: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_prove_is_refused_until_there_are_enough(database: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit code 1, the missing presses, and an act of each request; `show` says what is not proven."""
     bundle_on_a_new_gel(database, 21)
     show(database=database)
@@ -124,9 +122,7 @@ def test_prove_of_a_part_that_was_not_used_names_those_that_were(database: Path)
         prove(database=database, part="nut")
 
 
-def test_what_the_package_says_is_recorded_shown_and_remarked(
-    database: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_package_says_is_kept_and_shown(database: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A gel that is past its date and was mounted before may be mounted, and it is said at once."""
     replace(database=database, gel_serial="G7 ", gel_type="markers", use_by="2001-01-31")
     replace(database=database, gel_serial="G7")

@@ -109,9 +109,7 @@ def test_a_verb_of_another_package_has_a_section(tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.parametrize("value", ["no_such_package.lamp:main", "broken_lamp:main", "math:pi"])
-def test_a_verb_that_cannot_be_loaded_stops_no_other(
-    value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_broken_verb_stops_no_other(value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is not in the list, with a warning; the other verbs and `--version` do not mention it; it ends with 3."""
     (tmp_path / "broken_lamp.py").write_text("raise RuntimeError('no lamp')")
     monkeypatch.syspath_prepend(tmp_path)
@@ -128,9 +126,7 @@ def test_a_verb_that_cannot_be_loaded_stops_no_other(
     assert "'lamp'" in gelgate("lamp").sentence()
 
 
-def test_a_folder_that_hides_a_package_of_ours_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_hides_our_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another `export` on PYTHONPATH is the fault, not a package that is missing."""
     (tmp_path / "export").mkdir()
     (tmp_path / "export/__init__.py").touch()

@@ -173,9 +173,7 @@ def test_bad_input_is_a_sentence(
     assert not (bench.folder / "made").exists()
 
 
-def test_a_demo_without_a_broker_says_so_before_it_works(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_demo_without_a_broker_says_so_before_work(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither mosquitto nor amqtt: exit code 4 and what to install, and nothing was simulated."""
     monkeypatch.setattr("shutil.which", lambda *_, **__: None)
     monkeypatch.setattr(local_broker, "find_spec", lambda _: None)
@@ -258,9 +256,7 @@ def test_a_fault_of_ours_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize("value", ["no_such_package.lamp:plugin", "json:no_such_plugin"])
-def test_a_plugin_that_cannot_be_imported_says_what_to_install(
-    value: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plugin_not_imported_says_what_to_install(value: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """An entry point without its target is a sentence, not an ImportError or an AttributeError."""
     from importlib.metadata import EntryPoint
 

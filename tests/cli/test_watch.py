@@ -228,9 +228,7 @@ def test_the_command_prints_json_and_counts(broker: LocalBroker, capsys: pytest.
     assert json.loads(capsys.readouterr().out)["press_id"] == IDS[0]
 
 
-def test_too_few_verdicts_in_time_is_a_failure(
-    broker: LocalBroker, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_too_few_verdicts_in_time_fail(broker: LocalBroker, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit code 1 and a sentence with both numbers."""
     with pytest.raises(typer.Exit) as ended:
         watch_command(host=broker.host, port=broker.port, count=3, timeout=0.2)
@@ -251,9 +249,7 @@ def validated(broker: LocalBroker, count: int, *messages: tuple[str, bytes]) -> 
 DOCUMENT = asyncapi_message(DescribedStation.of_root(ROOT)).payload
 
 
-def test_messages_are_compared_with_their_description(
-    broker: LocalBroker, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_messages_are_checked_as_described(broker: LocalBroker, capsys: pytest.CaptureFixture[str]) -> None:
     """What is wrong is named by its topic and not shown raw; the exit code says so too."""
     validated(broker, 2, ("asyncapi", DOCUMENT), ("availability", b"online"))
     assert capsys.readouterr().out == "2 messages checked, 0 not as described\n"
@@ -267,9 +263,7 @@ def test_messages_are_compared_with_their_description(
     assert said.endswith("2 messages checked, 1 not as described\n")
 
 
-def test_a_station_without_a_description_is_named(
-    broker: LocalBroker, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_undescribed_station_is_named(broker: LocalBroker, capsys: pytest.CaptureFixture[str]) -> None:
     """Nothing was checked, and the sentence says why."""
     speaker = Connection.open(speaks(broker, "speaker"))
     speaker.publish(Message(f"{ROOT}/availability", b"online", retain=True))

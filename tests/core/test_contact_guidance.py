@@ -92,9 +92,7 @@ def test_nothing_is_said_of_what_a_bundle_does_not_know() -> None:
 
 
 @pytest.mark.parametrize(("part", "degrees", "least"), [("PZ2", 4, 7), ("PZ3", 3, 7)])
-def test_a_simulated_press_that_leans_is_told_the_side_that_does_not_touch(
-    part: str, degrees: float, least: int
-) -> None:
+def test_a_leaning_press_is_told_the_side_that_does_not_touch(part: str, degrees: float, least: int) -> None:
     """To eight sides: the advice is that side, within 45 degrees, or none, as for smaller parts. Upright presses, also
     lighter and deeper ones, and those that lie a millimetre away, are never told to lean."""
     from calibration.simulator.effects import DEFAULT_EFFECTS

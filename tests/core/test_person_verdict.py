@@ -145,9 +145,7 @@ def test_a_score_without_a_ratio_is_asked_for_last() -> None:
         (0, ["good"], False),
     ],
 )
-def test_a_promise_is_broken_where_good_presses_fail_more_often(
-    failed: int, words: list[str], is_broken: bool
-) -> None:
+def test_more_failing_good_presses_break_a_promise(failed: int, words: list[str], is_broken: bool) -> None:
     """Of ten presses, 3 % are promised. One good of three fails shows a tenth of .12, two of two a third of it."""
     presses = [asked(n, "fail" if n < failed else "pass", 1.1) for n in range(10)]
     said = {f"{n:04d}": [PersonVerdict(f"{n:04d}", 1, "kim", word)] for n, word in enumerate(words)}

@@ -66,9 +66,7 @@ def test_a_fixed_order_expects_one_place() -> None:
         ("error", False, True, "error"),
     ],
 )
-def test_outputs_show_a_pass_only_of_the_whole_piece(
-    word: str, has_failed: bool, is_last: bool, shown: str | None
-) -> None:
+def test_outputs_pass_a_whole_piece(word: str, has_failed: bool, is_last: bool, shown: str | None) -> None:
     """A fail is shown at once, and by every further press of the piece."""
     assert PlacePress("P1", A, False, has_failed, is_last).show(word) == shown
 

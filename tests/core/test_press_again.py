@@ -169,9 +169,7 @@ def test_a_second_press_saves_little_where_presses_of_a_piece_are_alike() -> Non
         (Verdict(Kind.UNSURE, 1.009, 1.0, 0.01), 2.0, True),
     ],
 )
-def test_only_a_press_a_little_above_the_threshold_asks(
-    verdict: Verdict, bound: float | None, expected: bool
-) -> None:
+def test_a_press_just_above_the_limit_asks(verdict: Verdict, bound: float | None, expected: bool) -> None:
     """On both sides of the threshold within its tolerance; what is far above fails at once."""
     assert is_asked(verdict, bound) is expected
 

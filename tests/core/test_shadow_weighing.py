@@ -75,9 +75,7 @@ DOUBTED = JudgedTwice("P9", "fail", "pass", "cannot_tell", was_damaged=True)
         ([*FALSE, press(9, "fail", "pass", "damaged")], False),
     ],
 )
-def test_it_need_not_wait_where_good_presses_show_that_it_is_better(
-    presses: Sequence[JudgedTwice], is_clear: bool
-) -> None:
+def test_it_need_not_wait_if_good_presses_favour_it(presses: Sequence[JudgedTwice], is_clear: bool) -> None:
     """Five of five, or eight of nine, on which the two differ: by chance once in 32 and in 51."""
     refusals = Weighing(presses).refusals(has_promise=True)
 
@@ -98,9 +96,7 @@ def test_it_need_not_wait_where_good_presses_show_that_it_is_better(
     ),
     st.integers(5, 12),
 )
-def test_whatever_people_answer_no_damage_that_was_found_passes_before_100_presses(
-    presses: list[JudgedTwice], false: int
-) -> None:
+def test_no_damage_that_was_found_passes_before_100_presses(presses: list[JudgedTwice], false: int) -> None:
     """Not even one of which a word that was wrong says that it is good."""
     weighing = Weighing([*presses, *(press(number, "fail", "pass", "good") for number in range(false))])
     lost = [one for one in presses if one.was_damaged and one.verdict != "pass" and one.other == "pass"]

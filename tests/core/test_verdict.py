@@ -55,9 +55,7 @@ def test_nonsense_is_refused() -> None:
 
 
 @given(finite, finite, st.floats(0, 1e3), st.floats(0, 1e3))
-def test_a_higher_score_is_never_better(
-    score: float, threshold: float, tolerance: float, more: float
-) -> None:
+def test_a_higher_score_is_no_better(score: float, threshold: float, tolerance: float, more: float) -> None:
     """Pass, unsure, fail come in this order as the score rises."""
     order = [Kind.PASS, Kind.UNSURE, Kind.FAIL]
     lower, higher = decide(score, threshold, tolerance), decide(score + more, threshold, tolerance)

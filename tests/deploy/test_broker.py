@@ -96,9 +96,7 @@ def send(folder: Path, port: int, name: str | None, topic: str, root: str = ROOT
         one.close()
 
 
-def test_a_station_may_publish_each_of_its_own_topics_and_a_supervisor_may_ask(
-    folder: Path, port: int
-) -> None:
+def test_a_station_may_publish_its_own_topics_and_a_supervisor_may_ask(folder: Path, port: int) -> None:
     """Every topic that the program has, as docs/mqtt.md lists them; requests to any station of the plant."""
     for topic in [topic for topic, *_ in TOPICS if topic != "cmd/<verb>"]:
         filled = topic.replace("<press id>", "01ARZ3").replace("<alarm>", "disk").replace("<verb>", "trigger")

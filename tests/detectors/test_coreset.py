@@ -28,9 +28,7 @@ def greedy(points: np.ndarray, count: int, start: int) -> tuple[list[int], float
     st.integers(1, 40),
     st.integers(0, 2**32 - 1),
 )
-def test_the_lazy_coreset_is_the_full_one(
-    sizes: tuple[int, float], n: int, c: int, count: int, seed: int
-) -> None:
+def test_lazy_and_full_are_the_same(sizes: tuple[int, float], n: int, c: int, count: int, seed: int) -> None:
     """Integers with many ties: the same rows in the same order as with all distances, the lowest first, also where few
     rows are updated together and the level falls in large or small steps (`sizes`)."""
     rng = np.random.default_rng(seed)

@@ -120,9 +120,7 @@ def test_few_presses_have_the_oracles_scores(method: str, mode: str, n: int) -> 
     st.integers(1, 5), st.sampled_from([1e-6, 1.0, 1e6]), st.sampled_from(["noise", "same", "constant", "dead"]),
     st.sampled_from(MEMORIES), st.sampled_from(MODES), st.integers(0, 10_000),
 )  # fmt: skip
-def test_hard_nominal_sets_keep_the_error_bound(
-    n: int, scale: float, kind: str, method: str, mode: str, seed: int
-) -> None:
+def test_hard_sets_keep_bounds(n: int, scale: float, kind: str, method: str, mode: str, seed: int) -> None:
     """Few, equal, constant and all-zero presses at any scale: finite, and the graph equals the oracle to 1e-4."""
     asked = with_spot(presses_of(1, seed + 1, scale=scale))
     nominal, p = hard_presses(n, kind, seed, scale), on_small_taps(method, mode)

@@ -126,9 +126,7 @@ def test_free_gel_does_not_fill_the_bank_of_tiles(detector: Any) -> None:
 @pytest.mark.parametrize(
     ("moving", "is_shown"), [(0.0, True), (0.3, True), (1.0, True), (0.0, False), (0.3, False), (1.0, False)]
 )
-def test_a_press_where_none_belongs_scores_high_and_restless_gel_does_not(
-    detector: Any, moving: float, is_shown: bool
-) -> None:
+def test_a_foreign_press_scores_high_restless_gel_not(detector: Any, moving: float, is_shown: bool) -> None:
     """Gel that moves where nothing touches, even further than presses differ, scores below what is touched, with frames
     of free gel and of presses alone. A relief there scores above all nominal places. Map and score are the oracle's."""
     free = frames(3, 5, NOWHERE, moving) if is_shown else None

@@ -162,9 +162,7 @@ class TestFaults:
                 read(device, clock)
         assert read(device, clock) == jpeg(2)
 
-    def test_a_stall_lasts_for_its_time_or_until_opened_again(
-        self, tmp_path: Path, clock: ManualClock
-    ) -> None:
+    def test_a_stall_lasts_its_time_or_until_opened_again(self, tmp_path: Path, clock: ManualClock) -> None:
         """Nothing comes, and then the frames go on, none lost."""
         device = plugin.open(options_for(tmp_path / "short", "stall@1:2"), clock)
         assert read(device, clock) == jpeg(0)

@@ -219,9 +219,7 @@ def test_graphs_that_cannot_be_wrapped(graph: bytes, given: GraphInput | None, w
          "keeps tensors in an external file"),
     ],
 )  # fmt: skip
-def test_an_unknown_operator_and_external_data_are_refused(
-    change: Callable[[onnx.GraphProto], None], words: str
-) -> None:
+def test_foreign_operators_and_data_refused(change: Callable[[onnx.GraphProto], None], words: str) -> None:
     """Operators of other domains, and tensors in files next to the graph."""
     model = onnx.load_from_string(anomalib_like())
     change(model.graph)

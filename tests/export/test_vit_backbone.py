@@ -50,9 +50,7 @@ def test_taps_are_patch_grids_and_deeper_blocks_are_not_built(weights: Path, tmp
     assert [result.name for result in export.parity.results] == ["input", "block0", "block1"]
 
 
-def test_a_trunk_that_differs_is_not_written(
-    weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_differs_is_not_written(weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With another activation in the graph the first tap is named, the report exists, the trunk does not."""
     monkeypatch.setattr(vit_trunk._VitBuilder, "_gelu", lambda self, x: self.graph.op("Relu", x))
     with pytest.raises(

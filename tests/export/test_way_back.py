@@ -124,9 +124,7 @@ def parity(folder: Path, stages: dict[str, NDArray[np.generic]], *more: object) 
     return gelgate("export", "parity", folder / "bolt", folder / "stages.npz", *more)
 
 
-def test_a_research_model_is_compared_stage_by_stage(
-    tmp_path: Path, stages: dict[str, NDArray[np.generic]]
-) -> None:
+def test_research_is_compared_stage_by_stage(tmp_path: Path, stages: dict[str, NDArray[np.generic]]) -> None:
     """Taps, a value inside the head, map, score and order agree; where half a level is added, that stage is named."""
     done = parity(tmp_path, stages, "--report", tmp_path / "report")
     assert done.code == 0, done.err

@@ -84,9 +84,7 @@ def test_a_press_that_adds_nothing_is_copied_as_the_free_gel_in_other_light() ->
         ("always", 2 * MOST, "padim", "corrected", 1),
     ],
 )
-def test_how_many_copies_a_bank_learns(
-    augment: Augment, count: int, method: str, mode: Mode, each: int
-) -> None:
+def test_copies_that_a_bank_learns(augment: Augment, count: int, method: str, mode: Mode, each: int) -> None:
     """`auto` adds them where they pay: few presses, no published settings, methods that gain or a threshold."""
     presses = NominalPresses(
         np.zeros((count, 4, 4, 3), np.uint8), ("",) * count, no_contact=np.zeros((1, 4, 4, 3), np.uint8)
@@ -175,9 +173,7 @@ def test_two_or_three_presses_promise_what_their_number_allows(count: int, floor
         ),
     ],
 )
-def test_what_copies_cannot_help_is_refused(
-    presses: NominalPresses, changes: dict[str, object], sentence: str
-) -> None:
+def test_what_copies_cannot_help(presses: NominalPresses, changes: dict[str, object], sentence: str) -> None:
     """Few presses without copies, one press twice, none at all, and copies of presses that lie in one pose already."""
     with pytest.raises(FitError, match=sentence):
         fitted(presses, **{"augment": "auto", **changes})

@@ -40,9 +40,7 @@ OLD, TINT = (1.0, 1.0, 1.0), (1.004, 0.9965, 1.001)
 CONFIG = CarryConfig("2026-02-01", "G2", threads=1)
 
 
-def test_limits_of_the_old_gel_are_gone_before_the_new_presses_are_scored(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_limits_of_the_old_gel_go_before_new_presses_are_scored(monkeypatch: pytest.MonkeyPatch) -> None:
     """Another gel has other cuts: with the old limits in the scores the new threshold would be too low."""
     bundle = registered().bundle()
     assert bundle.registration is not None
@@ -192,9 +190,7 @@ def turned() -> NominalPresses:
         (turned, "the colours over the gel run otherwise than in the learnt presses"),
     ],
 )
-def test_presses_that_cannot_carry_a_bundle_are_refused(
-    presses: Callable[[], NominalPresses], sentence: str
-) -> None:
+def test_unfit_presses_are_refused(presses: Callable[[], NominalPresses], sentence: str) -> None:
     """Too few or too many, of the old gel, of another part, place or kind of sensor."""
     with pytest.raises(FitError, match=sentence):
         carry_bundle(old(), presses(), CONFIG)

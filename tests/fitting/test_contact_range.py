@@ -49,9 +49,7 @@ def test_contact_range_holds_the_nominal_presses_and_not_one_far_away() -> None:
     ],
     ids=["known", "the free gel was not seen", "one too light to have a strength"],
 )
-def test_the_strength_of_the_nominal_presses(
-    strengths: tuple[float, ...], found: NominalStrength | None
-) -> None:
+def test_strength_of_nominal_presses(strengths: tuple[float, ...], found: NominalStrength | None) -> None:
     assert strength_range(presses(4, strengths=strengths)) == found
 
 

@@ -143,9 +143,7 @@ def test_sound_presses_of_a_third_piece_pass() -> None:
     ("specimens", "counted", "whose"),
     [("a" * 12, "1 piece", "this piece"), ("a" * 10 + "bc", "3 pieces", "these pieces")],
 )
-def test_of_pieces_that_are_not_held_out_nothing_is_promised_of_others(
-    specimens: str, counted: str, whose: str
-) -> None:
+def test_pieces_not_held_out_promise_nothing_of_others(specimens: str, counted: str, whose: str) -> None:
     """One piece, and one that is nearly all presses: no rate by piece, in the manifest and in words."""
     limit = fit_files(presses(12, specimens=tuple(specimens)), config(), created="").manifest.threshold
     assert (limit.alpha_floor, limit.rate_range, limit.by_piece) == (1, None, None)

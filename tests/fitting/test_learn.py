@@ -63,9 +63,7 @@ def test_without_a_good_word_nothing_is_learnt(station: Judged, words: Mapping[i
     assert not (station.new).exists()
 
 
-def test_a_damage_that_somebody_calls_good_is_left_out_and_named(
-    station: Judged, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_damage_called_good_is_left_out_and_named(station: Judged, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where it lies beyond the threshold by enough: what is learnt of it would hide the next one."""
     monkeypatch.setattr("calibration.fitting.learn.FARTHEST", 1.1)  # the dents of this film score 1.25 of it
     station.say({0: "good", 2: "good", 4: "damaged"})
@@ -143,9 +141,7 @@ def test_a_damage_that_somebody_else_calls_good_does_not_change_unsaid(station: 
     )
 
 
-def test_a_damage_that_the_station_found_is_not_lost_by_way_of_a_bundle_that_passes_it(
-    station: Judged,
-) -> None:
+def test_a_damage_that_the_station_found_is_not_lost_by_a_bundle_that_passes_it(station: Judged) -> None:
     """The bundle that is given is not the one that judged."""
     folder, ids = station.folder, station.ids
     fit(station.nominal, folder / "other", "--set", "threshold=1000")

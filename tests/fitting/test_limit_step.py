@@ -75,9 +75,7 @@ def unlike(presses: NominalPresses) -> NominalPresses:
     return NominalPresses(shown, tuple(map(str, range(len(shown)))), no_contact=presses.no_contact)
 
 
-def test_unlike_presses_are_published_in_units_of_their_limit(
-    presses: NominalPresses, config: FitConfig
-) -> None:
+def test_unlike_presses_are_told_in_units_of_their_limit(presses: NominalPresses, config: FitConfig) -> None:
     """Where presses differ in depth a kind with surroundings is chosen: its threshold is 1, its scores
     are those of the scorer, and its arrays are in the bank."""
     fitted = fit_files(unlike(presses), config, created="")

@@ -347,9 +347,7 @@ def test_a_foreign_picture_beside_a_recording_is_left_out(recording: Path, tmp_p
     np.testing.assert_array_equal(foreign.no_contact, none.no_contact)
 
 
-def test_the_free_gel_of_a_recording_serves_the_pictures_beside_it_too(
-    recording: Path, tmp_path: Path
-) -> None:
+def test_the_free_gel_of_a_recording_serves_pictures_beside_it(recording: Path, tmp_path: Path) -> None:
     """Of another light these are named, and do not replace it."""
     alone = read_presses([recording], PROFILE, REGION)
     for k in range(4):

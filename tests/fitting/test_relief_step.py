@@ -107,9 +107,7 @@ def missing(choice: ReliefChoice, take: Taken, frames: np.ndarray) -> np.ndarray
     return find_missing(choice.relief, take(frames)["layer1"])
 
 
-def test_an_object_without_the_grooves_lacks_relief(
-    choice: ReliefChoice, presses: Presses, take: Taken
-) -> None:
+def test_an_object_without_grooves_lacks_relief(choice: ReliefChoice, presses: Presses, take: Taken) -> None:
     """Every press of it lies above the limit, though no such object was ever shown."""
     assert (missing(choice, take, presses.smooth) > 1).all()
 

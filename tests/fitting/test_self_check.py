@@ -100,9 +100,7 @@ def evidence(spots: dict[int, float]) -> Evidence:
         (0.51, DamageFound(0, 48), ["0.51 is separated", "finds 0 of 48"]),
     ],
 )
-def test_evidence_that_shows_nothing_is_said(
-    separated: float | None, found: DamageFound | None, said: list[str]
-) -> None:
+def test_empty_evidence_is_said(separated: float | None, found: DamageFound | None, said: list[str]) -> None:
     """A bundle that does not see its own damage is not proven, chance before few; one with evidence has no warning."""
     warned = unproven_warnings(separated, found)
     assert len(warned) == len(said)

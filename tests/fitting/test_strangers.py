@@ -189,9 +189,7 @@ def test_frames_of_one_film_are_one_piece_and_are_held_out_in_stretches(tmp_path
 @pytest.mark.parametrize(
     "drift", [lambda rgb, k: rgb + k, lambda rgb, k: rgb * (1 + k / 100)], ids=["offset", "gain"]
 )
-def test_presses_whose_light_drifts_are_no_film(
-    drift: Callable[[NDArray[np.int64], int], NDArray[np.float64]],
-) -> None:
+def test_drifting_light_is_no_film(drift: Callable[[NDArray[np.int64], int], NDArray[np.float64]]) -> None:
     """Each is nearer to the next one in its level alone: the part is held well, and only its depth differs."""
     depths = np.random.default_rng(0).uniform(25, 29, 20)
     views = [

@@ -90,9 +90,7 @@ def test_what_would_find_it_is_shown_and_nothing_is_written(
 
 
 @pytest.mark.parametrize("what", ["limit", "place"])
-def test_what_is_taken_finds_it_and_loses_nothing(
-    inspected: Judged, faint: Path, tmp_path: Path, what: str
-) -> None:
+def test_a_remedy_finds_it_without_loss(inspected: Judged, faint: Path, tmp_path: Path, what: str) -> None:
     """Every score is at least what it was, in units of the limit; the bundle is sound, and says what it was taught."""
     loud, sound = draw(tmp_path / "loud.jpg", 1.0), draw(tmp_path / "sound.jpg", 0.0)
     old, new = inspected.old, tmp_path / "new"

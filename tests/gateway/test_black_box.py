@@ -151,9 +151,7 @@ def change_the_record(copy: Played) -> None:
         (change_the_record, "is not what the ledger says of press {id}"),
     ],
 )
-def test_what_is_not_as_it_was_kept_is_named(
-    copy: Played, damage: Callable[[Played], None], words: str
-) -> None:
+def test_what_is_not_as_kept_is_named(copy: Played, damage: Callable[[Played], None], words: str) -> None:
     """Nothing waits for a pipe, and with several presses the others are made again."""
     damage(copy)
     done, every = copy.replay(copy.ids[1]), copy.replay("--all")
@@ -309,9 +307,7 @@ def test_the_newest_presses_are_kept_up_to_their_number(tmp_path: Path, made: Pl
     assert list_presses(tmp_path / "small") == sorted(made.ids[1:3])  # of one moment, in no order
 
 
-def test_the_newest_presses_are_kept_after_the_clock_was_set_back(
-    configure: Configure, tmp_path: Path
-) -> None:
+def test_the_newest_presses_are_kept_after_a_clock_set_back(configure: Configure, tmp_path: Path) -> None:
     """The archive that a start finds is read in the order in which presses were made, not in that of their ids."""
     config = configure(tables="[archive]\npresses = 2\n")
     for presses, clock_is_ahead_s in ((2, 60), (1, 0), (1, 0)):
@@ -325,9 +321,7 @@ def test_the_newest_presses_are_kept_after_the_clock_was_set_back(
 
 
 @pytest.mark.parametrize("most", [{"most_presses": 4}, {"most_bytes": 4 * 100}])
-def test_presses_that_people_spoke_of_stay_up_to_half_of_the_archive(
-    tmp_path: Path, made: Played, most: dict[str, int]
-) -> None:
+def test_presses_spoken_of_fill_half_the_archive(tmp_path: Path, made: Played, most: dict[str, int]) -> None:
     """Four are kept, by number or by size; of three that people spoke of the oldest goes, and the two others stay."""
     press = made.record(0).model_copy(update={"reference": None, "score_map": None, "masked": None})
     archive = PressArchive(tmp_path / "small", **{"most_presses": 100, "most_bytes": 1 << 20} | most)

@@ -22,9 +22,7 @@ def test_a_step_is_found_once(set_s: float, found: float | None, monkeypatch: py
     assert (guard.step(), guard.step()) == (found, None)
 
 
-def test_a_station_writes_a_step_into_the_table_of_acts(
-    station: SteppedStation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_step_is_an_act_of_the_station(station: SteppedStation, monkeypatch: pytest.MonkeyPatch) -> None:
     set_wall(station.clock, monkeypatch, 86400.0)
     station.loop.publish_stats()
     (act,) = station.parts.store.acts()

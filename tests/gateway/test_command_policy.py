@@ -122,9 +122,7 @@ ANOTHER = "the signature is not that of this request"
         ({"signed_ns": START_NS + round((SIGNED_WITHIN_S + 1) * 1e9)}, "compare the clocks"),
     ],
 )
-def test_a_request_that_is_not_signed_as_it_came_is_refused(
-    bench: Bench, changes: dict[str, Any], words: str
-) -> None:
+def test_a_request_signed_otherwise_is_refused(bench: Bench, changes: dict[str, Any], words: str) -> None:
     """Each part of a request is signed, with its station and its time: a recorded request is no use later."""
     answer = bench.signed("replace_gel", **changes)
 
@@ -267,9 +265,7 @@ def test_garbage_keeps_nobody_out(bench: Bench, garbage: str, caplog: pytest.Log
     assert sum("refused" in line for line in caplog.messages) <= 60 + 20 + 1
 
 
-def test_refused_requests_do_not_push_acts_out_of_the_table(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_refusals_push_no_acts_out_of_the_table(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """They are counted apart."""
     monkeypatch.setattr(acts, "KEPT_REFUSALS", 3)
     bench.signed("replace_gel")

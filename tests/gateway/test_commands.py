@@ -32,9 +32,7 @@ def answer(ask: Callable[[], object], turn: Callable[[], object]) -> str:
     return "".join(answers)
 
 
-def test_a_triggered_press_has_one_verdict_and_a_new_gel_starts_from_nothing(
-    tmp_path: Path, bundle: Path
-) -> None:
+def test_a_triggered_press_has_one_verdict_and_a_new_gel_starts_at_0(tmp_path: Path, bundle: Path) -> None:
     """No press, no verdict; one press, one verdict, for any number of requests; then the gel is replaced."""
     recording = press_recording(tmp_path / "presses", 2, motion=Motion(hold=24, idle=10), seed=4)
     with SteppedStation(

@@ -72,9 +72,7 @@ def test_what_lasts_is_said_again(station: SteppedStation, said: list[dict[str, 
     assert len(said) < 1 + 7 * 3 + 5 * times[-1] / 1e9
 
 
-def test_a_station_that_ends_or_halts_says_nothing_of_the_contact(
-    station: SteppedStation, said: list[dict[str, Any]]
-) -> None:
+def test_a_station_ended_or_halted_says_nothing(station: SteppedStation, said: list[dict[str, Any]]) -> None:
     station.play_until(lambda: bool(said) and said[-1]["state"] == "lift")
     with station.refusing("acts"):
         station.parts.status.set_fault("golden", "a test")
@@ -88,9 +86,7 @@ def test_a_station_that_ends_or_halts_says_nothing_of_the_contact(
     assert said[-1]["state"] == "unknown"
 
 
-def test_an_overload_is_said_and_is_an_alarm_until_the_gel_is_free(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
+def test_an_overload_is_an_alarm_until_a_free_gel(tmp_path: Path, recording: Path, bundle: Path) -> None:
     """At the first frame, before the press is confirmed; it is counted, and each is an act."""
     weak = variant(bundle, tmp_path / "weak", strength={"lowest": 1.0, "middle": 1.0, "highest": 1.0})
     with SteppedStation(station_config(tmp_path, recording, weak)) as station:

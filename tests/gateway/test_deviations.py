@@ -110,9 +110,7 @@ def test_it_is_measured_again_after_a_stop(
         assert waiting[f"heatmap/{press_id}"] == expected[press_id].sheet
 
 
-def test_a_damaged_calibration_is_a_sentence_at_the_check(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
+def test_a_damaged_calibration_is_a_sentence_at_check(tmp_path: Path, recording: Path, bundle: Path) -> None:
     done = gelgate("check", "-c", configure(tmp_path, recording, bundle, None))
     assert done.code != 0
     assert "gel.toml" in done.out + done.err

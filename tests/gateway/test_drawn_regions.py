@@ -96,9 +96,7 @@ def test_a_region_is_drawn_seen_and_removed(
     assert station.said("info")["region_names"] == []
 
 
-def test_who_draws_before_the_first_revision_inspects_loses_neither(
-    station: SteppedStation, tmp_path: Path
-) -> None:
+def test_who_draws_before_the_first_revision_loses_neither(station: SteppedStation, tmp_path: Path) -> None:
     """Both regions are in the third revision, and each revision before stays under its own name."""
     first, press = Bundle.load(tmp_path / "bundles" / "pz0").digest, newest(station)
     wishes = [
@@ -110,9 +108,7 @@ def test_who_draws_before_the_first_revision_inspects_loses_neither(
     assert Bundle.load(done[1]["kept"]).manifest.revision == done[0]["revision"]
 
 
-def test_nothing_is_drawn_on_a_bundle_that_was_put_there_meanwhile(
-    station: SteppedStation, tmp_path: Path
-) -> None:
+def test_nothing_is_drawn_on_a_bundle_put_there_meanwhile(station: SteppedStation, tmp_path: Path) -> None:
     """The press lay as it did for the one that inspects."""
     path = tmp_path / "bundles" / "pz0"
     variant(Path(shutil.copytree(path, tmp_path / "copy")), path, part="PZ9")

@@ -76,9 +76,7 @@ def test_light_that_falls_between_presses_is_followed_without_a_pause(
     assert without[-3:] == ["fail"] * 3
 
 
-def test_its_verdicts_are_made_again_bit_for_bit(
-    tmp_path: Path, films: dict[float, Path], bundle: Path
-) -> None:
+def test_verdicts_are_made_again_bit_for_bit(tmp_path: Path, films: dict[float, Path], bundle: Path) -> None:
     """The archive keeps how the light was followed."""
     config = station_config(tmp_path, films[0.8], bundle)
     assert np.ptp([score for _, score, _ in scores(config)]) > 0

@@ -135,9 +135,7 @@ def test_a_station_says_what_the_package_said(config: Path) -> None:
         ({"gel_id": "G" * 65}, "at most 64"),
     ],
 )
-def test_a_request_that_cannot_be_changes_nothing(
-    config: Path, arguments: dict[str, str], sentence: str
-) -> None:
+def test_a_wrong_request_changes_nothing(config: Path, arguments: dict[str, str], sentence: str) -> None:
     """The gel stays mounted."""
     with SteppedStation(config) as station:
         station.play(3)

@@ -39,9 +39,7 @@ def replaced(tmp_path: Path, recording: Path, bundle: Path) -> Callable[..., Ste
     return make
 
 
-def test_a_new_gel_is_said_in_the_state_and_as_an_alarm(
-    replaced: Callable[..., SteppedStation], tmp_path: Path
-) -> None:
+def test_a_new_gel_is_a_state_and_an_alarm(replaced: Callable[..., SteppedStation], tmp_path: Path) -> None:
     """With the gel before and the presses since, after a restart too. A damaged part on it counts as an alarm, for the
     station does not know that it is damaged."""
     with replaced(presses_since=2) as station:

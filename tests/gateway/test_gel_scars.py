@@ -88,9 +88,7 @@ def test_a_verdict_with_masked_scars_is_made_again(played: SteppedStation) -> No
     assert "7 presses: 7 equal, 0 differ" in done.out
 
 
-def test_scars_are_known_after_a_restart_and_forgotten_with_the_gel(
-    tmp_path: Path, scarred: Path, bundle: Path
-) -> None:
+def test_scars_outlive_a_restart_and_not_the_gel(tmp_path: Path, scarred: Path, bundle: Path) -> None:
     """A station that ends after the scar was named masks it in its next press; a new gel has no scar and no alarm."""
     config = station_config(tmp_path, scarred, bundle)
     with SteppedStation(config) as station:

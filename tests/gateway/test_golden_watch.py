@@ -56,9 +56,7 @@ def test_golden_frames_are_scored_after_every_change_and_every_hour(tmp_path: Pa
         assert station.alarm("golden") is None
 
 
-def test_no_press_has_a_verdict_while_golden_frames_fail(
-    tmp_path: Path, recording: Path, bundles: str
-) -> None:
+def test_no_press_is_judged_while_golden_frames_fail(tmp_path: Path, recording: Path, bundles: str) -> None:
     """Each is an error with the reason, and is counted."""
     config = station_config(tmp_path / "station", recording, bundles)
     with SteppedStation(config) as station:

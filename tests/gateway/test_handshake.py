@@ -177,9 +177,7 @@ def test_a_trigger_selects_its_part(tmp_path: Path, configure: Make, bundle: Pat
         assert station.result == ("done", 2, "error", Code.OTHER_PART)
 
 
-def test_a_trigger_takes_the_place_of_a_selection_that_waits(
-    tmp_path: Path, configure: Make, bundle: Path
-) -> None:
+def test_a_trigger_replaces_a_selection_that_waits(tmp_path: Path, configure: Make, bundle: Path) -> None:
     """Also for the part that is inspected until the end of the press."""
     two_parts(tmp_path / "bundles", bundle)
     with PlcStation(configure(inspection=f'bundle_folder = "{tmp_path / "bundles"}"')) as station:
@@ -222,9 +220,7 @@ def test_what_is_refused_for_hours_is_an_act_a_minute(configure: Make) -> None:
 
 
 @pytest.mark.parametrize(("trigger_id", "part"), [(0, "PZ9"), (1, "M\xfcller"), (1, "PZ\n9")])
-def test_a_value_that_can_never_be_right_is_told_before_the_part_is_sought(
-    configure: Make, trigger_id: int, part: str
-) -> None:
+def test_a_value_never_right_is_told_before_the_search(configure: Make, trigger_id: int, part: str) -> None:
     with PlcStation(configure()) as station:
         assert station.trigger(trigger_id, part=part) is Code.BAD_VALUE
 
@@ -317,9 +313,7 @@ def test_after_a_restart_nothing_is_left(configure: Make) -> None:
         (("[handshake]", "[[handshake]]"), "handshake"),
     ],
 )
-def test_a_wrong_table_is_refused_with_its_place(
-    configure: Make, change: tuple[str, str], words: str
-) -> None:
+def test_a_wrong_table_is_refused_at_its_place(configure: Make, change: tuple[str, str], words: str) -> None:
     config = configure()
     text = config.read_text()
     assert change[0] in text
@@ -353,9 +347,7 @@ places = [{ part = "PZ0", position = "pos1" }, { part = "PZ1", position = "pos1"
 
 
 @pytest.mark.parametrize("trigger", ["automatic", "command"])
-def test_a_trigger_that_names_a_piece_begins_it(
-    tmp_path: Path, configure: Make, bundle: Path, trigger: str
-) -> None:
+def test_a_trigger_begins_its_piece(tmp_path: Path, configure: Make, bundle: Path, trigger: str) -> None:
     """The next trigger with its id is for its next place; one with the id of a piece that is over is an error."""
     bundles = two_parts(tmp_path / "bundles", bundle)
     config = configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"', trigger=trigger)
@@ -419,9 +411,7 @@ def test_a_trigger_that_is_taken_back_begins_no_piece(tmp_path: Path, configure:
     assert "P1" not in [result.piece_id for result in station.results]
 
 
-def test_a_press_of_the_next_piece_answers_no_trigger_for_the_one_before(
-    tmp_path: Path, configure: Make, bundle: Path
-) -> None:
+def test_the_next_piece_answers_no_trigger_of_before(tmp_path: Path, configure: Make, bundle: Path) -> None:
     """The piece was in progress when its trigger came, and the press that was held then ended it."""
     bundles = two_parts(tmp_path / "bundles", bundle)
     config = configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"')
@@ -459,9 +449,7 @@ def test_a_press_of_a_place_that_comes_later_fills_no_other_place(
     assert "PZ1/pos1 comes later; select and press PZ0/pos1" in str(answer.reason)
 
 
-def test_a_press_that_another_bundle_would_judge_fills_no_place(
-    tmp_path: Path, configure: Make, bundle: Path
-) -> None:
+def test_a_press_of_another_bundle_fills_no_place(tmp_path: Path, configure: Make, bundle: Path) -> None:
     """The press that was held when the trigger came was recorded after it, and then the plan has selected its next
     place."""
     bundles = two_parts(tmp_path / "bundles", bundle)

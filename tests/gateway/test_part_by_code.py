@@ -37,9 +37,7 @@ def play(playing: SteppedStation, presses: int = 3) -> list[ResultPayload]:
     return playing.results
 
 
-def test_the_code_selects_the_bundle_that_judges_this_press(
-    tmp_path: Path, recording: Path, bundles: str
-) -> None:
+def test_the_code_selects_the_bundle_of_this_press(tmp_path: Path, recording: Path, bundles: str) -> None:
     """The dented press is judged as PZ1, with its threshold, and the next one as PZ0 again; the table of acts has both
     changes, with the code that was read and the parts before and after."""
     with station(tmp_path, recording, bundles, ["PZ0", "4711", "PZ0"], select=True) as playing:
@@ -58,9 +56,7 @@ def test_the_code_selects_the_bundle_that_judges_this_press(
     assert (acts[1].before, acts[1].after) == (PZ0._asdict(), PZ1._asdict())
 
 
-def test_a_part_that_a_code_selected_is_selected_after_a_restart(
-    tmp_path: Path, recording: Path, bundles: str
-) -> None:
+def test_a_part_selected_by_code_outlives_a_restart(tmp_path: Path, recording: Path, bundles: str) -> None:
     """As one that a person selected."""
     with station(tmp_path, recording, bundles, ["4711"], select=True) as playing:
         play(playing, presses=1)
@@ -68,9 +64,7 @@ def test_a_part_that_a_code_selected_is_selected_after_a_restart(
         assert again.parts.selection.part == PZ1
 
 
-def test_an_unknown_code_selects_nothing_and_its_press_is_refused(
-    tmp_path: Path, recording: Path, bundles: str
-) -> None:
+def test_an_unknown_code_is_refused_and_selects_none(tmp_path: Path, recording: Path, bundles: str) -> None:
     """With what was read, and what is in use."""
     with station(tmp_path, recording, bundles, ["4711", "PZ9", "4711"], select=True) as playing:
         results = play(playing)
@@ -82,9 +76,7 @@ def test_an_unknown_code_selects_nothing_and_its_press_is_refused(
     )
 
 
-def test_a_selection_that_cannot_be_recorded_refuses_the_press(
-    tmp_path: Path, recording: Path, bundles: str
-) -> None:
+def test_an_unrecorded_selection_refuses_the_press(tmp_path: Path, recording: Path, bundles: str) -> None:
     """It is not judged by the other part's bundle, nothing of it is in the table of acts, and the next press may
     select again."""
     with station(tmp_path, recording, bundles, ["4711"], select=True) as playing:
@@ -105,9 +97,7 @@ def test_a_selection_that_cannot_be_recorded_refuses_the_press(
     assert [one.part for one in results] == ["PZ0", "PZ1", "PZ1"]
 
 
-def test_without_select_a_code_admits_by_every_name_and_changes_nothing(
-    tmp_path: Path, recording: Path, bundles: str
-) -> None:
+def test_without_select_a_code_admits_by_every_name(tmp_path: Path, recording: Path, bundles: str) -> None:
     """The selected part is PZ1: its other name and its position are admitted, and the other part is refused."""
     with station(tmp_path, recording, bundles, ["4711", "PZ0", "PZ1/pos1"], select=False) as playing:
         playing.ask("select_part", part="PZ1")

@@ -215,9 +215,7 @@ def test_the_last_good_bundle_stays_when_the_new_one_fails(
     assert station.alarm("bundle") is None
 
 
-def test_info_names_the_parts_that_a_reload_brings(
-    station: SteppedStation, folder: Path, bundle: Path
-) -> None:
+def test_info_names_parts_that_a_reload_brings(station: SteppedStation, folder: Path, bundle: Path) -> None:
     """Also where the bundle in use stays as it is: a dashboard that selects has the list."""
     station.play(3)
     variant(bundle, folder / "c", part="PZ2")

@@ -71,9 +71,7 @@ def test_a_result_leaves_before_its_picture_is_drawn(store: Store, path: Path) -
     assert store.owed_pictures() == []
 
 
-def test_a_picture_is_asked_for_when_the_publisher_is_woken(
-    station: SteppedStation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wake_asks_for_a_picture(station: SteppedStation, monkeypatch: pytest.MonkeyPatch) -> None:
     """The thread that draws does not take the core from the one that sends the result."""
     waiting, pictures = list[int](), station.parts.pictures
     monkeypatch.setattr(station.loop, "_on_press", lambda report: waiting.append(len(pictures._waiting)))
@@ -215,9 +213,7 @@ def test_a_full_disk_delays_the_picture(store: Store, path: Path, monkeypatch: p
     assert (f"heatmap/{IDS[0]}", files().sheet) in outbox(path)
 
 
-def test_presses_that_wait_for_the_store_hold_no_arrays(
-    config: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_presses_waiting_for_the_store_hold_no_arrays(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """While the disk is full the presses behind the first are drawn, which takes a fraction of the memory. When there
     is room again, each picture comes."""
     drawn: list[str] = []
@@ -239,9 +235,7 @@ def test_presses_that_wait_for_the_store_hold_no_arrays(
     assert (sorted(drawn), len(ids)) == (sorted(ids), 3)
 
 
-def test_pictures_that_the_store_refuses_wait_drawn(
-    store: Store, monkeypatch: pytest.MonkeyPatch, path: Path
-) -> None:
+def test_refused_pictures_wait_drawn(store: Store, monkeypatch: pytest.MonkeyPatch, path: Path) -> None:
     """As many as presses that wait for a store: each is drawn once, and none is lost when there is room again."""
     pictures, queue, drawn = Pictures(store, lambda: None), store.queue_picture, list[int]()
 
@@ -273,9 +267,7 @@ def test_pictures_that_fall_behind_are_bounded(
     assert f"the picture of press {IDS[2]} is not drawn: 2 others wait" in caplog.text
 
 
-def test_an_end_while_the_thread_draws_keeps_the_order(
-    store: Store, path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_end_while_drawing_keeps_order(store: Store, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Closing waits for a picture that takes longer than the thread is given, and draws the others after it."""
     monkeypatch.setattr(module, "CLOSE_S", 0.0)
     is_drawing, may_end = threading.Event(), threading.Event()

@@ -127,9 +127,7 @@ def test_one_failed_place_fails_the_piece(configure: Make) -> None:
     assert filled(ended) == ["pass", "fail", "pass"]
 
 
-def test_relays_show_a_pass_only_of_the_whole_piece_and_a_fail_at_once(
-    tmp_path: Path, configure: Make
-) -> None:
+def test_relays_show_a_pass_of_the_whole_piece_and_a_fail_at_once(tmp_path: Path, configure: Make) -> None:
     """Two pieces: the first one passes at its last press; the second fails at its first, and at each after it."""
     lit: list[list[int]] = []
     with PieceStation(configure(plan() + RELAYS, presses=6, dented=(3,))) as station:
@@ -203,9 +201,7 @@ def test_a_press_at_another_place_is_refused_and_begins_nothing(
     assert is_selected == ("fixed" in tables)
 
 
-def test_a_piece_that_takes_too_long_is_incomplete_and_the_next_one_is_begun_by_a_person(
-    configure: Make,
-) -> None:
+def test_a_piece_that_takes_too_long_is_incomplete_and_a_person_begins_the_next(configure: Make) -> None:
     """What is left of it may still lie there: no press begins a piece until then."""
     with PieceStation(configure(plan(within_s=3.5), presses=5)) as station:
         station.play_presses(2)
@@ -421,9 +417,7 @@ def checked(configure: Make) -> Callable[[str], list[str]]:
     return check
 
 
-def test_the_check_names_a_place_without_a_bundle_and_a_piece_that_nobody_can_begin(
-    checked: Callable[[str], list[str]],
-) -> None:
+def test_the_check_names_places_without_bundle_and_locked_pieces(checked: Callable[[str], list[str]]) -> None:
     (lacking,) = checked(plan(names=("left", "behind")))
     (locked,) = checked(plan().replace(BEGUN, ""))
 
@@ -507,9 +501,7 @@ def test_a_master_piece_and_a_study_are_of_no_piece(configure: Make, label: Pres
     assert (ended["verdict"], places) == ("pass", ["PZ0/left", None, "PZ0/middle", "PZ0/right"])
 
 
-def test_a_station_without_a_plan_says_nothing_of_the_piece_that_an_earlier_plan_began(
-    configure: Make,
-) -> None:
+def test_a_station_without_a_plan_says_nothing_of_a_piece_that_an_earlier_plan_began(configure: Make) -> None:
     """The retained message is taken away; with the plan again the piece goes on."""
     with PieceStation(configure(plan())) as station:
         station.ask("begin_piece", piece_id="P1")

@@ -88,9 +88,7 @@ def test_a_run_that_missed_a_press_fails(tmp_path: Path, bundle: Path) -> None:
         (2, 5, "5 of its 90 frames were dropped"),
     ],
 )
-def test_what_a_run_on_labelled_presses_must_have_seen(
-    recording: Path, seen: int, dropped: int, words: str | None
-) -> None:
+def test_what_a_labelled_run_must_see(recording: Path, seen: int, dropped: int, words: str | None) -> None:
     played = Recording.open(recording)
     if words is None:
         played.check_presses(seen, 90, dropped)

@@ -53,9 +53,7 @@ def asking(tmp_path: Path, again_bundle: Path) -> Make:
     return make
 
 
-def test_a_press_a_little_above_the_limit_asks_and_the_lower_score_of_two_is_decided(
-    tmp_path: Path, asking: Make
-) -> None:
+def test_a_press_just_above_the_limit_asks_and_the_lower_score_decides(tmp_path: Path, asking: Make) -> None:
     """The first is unsure, the second passes with its own score; the third is a press of its own. Every press counts
     on the gel, the pair is in the ledger, and the line at the terminal says that it asks."""
     with asking(0) as station:

@@ -168,9 +168,7 @@ class Talkative(PressStage):
         return {"watts": 5, "verdict": "pass"}
 
 
-def test_a_feature_says_something_in_the_result_and_on_the_page(
-    config: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_feature_speaks_in_result_and_page(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Under its name, beside what gelgate says, which it does not change; the check before a start names it."""
     install(monkeypatch, f"{__name__}:Talkative")
     monkeypatch.setattr(EntryPoint, "load", _load_from_here(EntryPoint.load))
@@ -197,9 +195,7 @@ class Forgetful(PressStage):
         self.alarm("lamp_hot", "it is hot")
 
 
-def test_an_alarm_that_no_one_declares_stops_no_inspection(
-    config: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_undeclared_alarm_stops_no_inspection(config: Path, caplog: pytest.LogCaptureFixture) -> None:
     """The log has it once, lights and `stats` show it until it is over, and a fault of that name halts the station."""
     forgetful = Forgetful()
     with SteppedStation(config, stages={"lamp": forgetful}) as station:

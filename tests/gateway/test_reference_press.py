@@ -199,9 +199,7 @@ def test_what_was_learnt_is_there_after_a_restart(config: Callable[..., Path]) -
 
 
 @pytest.mark.parametrize("is_cancelled", [True, False])
-def test_a_press_that_does_not_come_is_not_waited_for(
-    config: Callable[..., Path], is_cancelled: bool
-) -> None:
+def test_a_press_that_never_comes_is_not_waited_for(config: Callable[..., Path], is_cancelled: bool) -> None:
     """In time, or because it was cancelled: the next press is a part's; the alarm says while it is waited for. With
     off it says nothing else, and a reference press can be made."""
     with SteppedStation(config("off")) as station:

@@ -62,9 +62,7 @@ def record(tmp_path: Path, inspector: Inspector) -> Iterator[Record]:
         )
 
 
-def test_a_press_anywhere_passes_and_its_result_states_where_it_lay(
-    record: Record, inspector: Inspector
-) -> None:
+def test_a_press_anywhere_passes_and_its_result_says_where(record: Record, inspector: Inspector) -> None:
     """Shift and turn between two presses are those that the formula gave, in mm and degrees; finding them is a stage of
     its own next to trunk and head."""
     here, there = Pose(-4.0, 6.0, 0.5), Pose(8.0, 1.0, 1.25)
@@ -103,9 +101,7 @@ def test_a_press_that_is_scored_ahead_has_the_same_verdict_once(inspector: Inspe
     assert "stale" in str(inspector.inspect(late, touch, came_ns=-(10**12)).reason)
 
 
-def test_the_share_of_the_part_that_left_the_field_is_published_and_dark(
-    record: Record, inspector: Inspector
-) -> None:
+def test_what_left_the_field_is_published_and_dark(record: Record, inspector: Inspector) -> None:
     """A part at the rim states what was not judged, and the same press without its registration is drawn brighter; one
     in the middle states nothing unseen."""
     middle, rim = (inspect(inspector, parts.press(parts.BLOCK, Pose(x))) for x in (0.0, 30.0))

@@ -21,9 +21,7 @@ from edge.store.gel_ledger import GelRecord
 
 
 @pytest.mark.parametrize(("stats_s", "least", "most"), [(0.5, 8, 10), (60, 0, 0)])
-def test_the_interval_of_the_counters_is_configured(
-    configure: Configure, stats_s: float, least: int, most: int
-) -> None:
+def test_counters_have_their_interval(configure: Configure, stats_s: float, least: int, most: int) -> None:
     """Five seconds: a report every half second, or none. It names the raised alarms, for a dashboard that comes
     later."""
     times = set()

@@ -141,9 +141,7 @@ def test_pulses_that_were_not_given_are_acknowledged_without_the_verdict(configu
         ("pulses", "no alarm is named 'pulses'; did you mean 'pulse'"),
     ],
 )
-def test_only_a_raised_alarm_that_stays_can_be_acknowledged(
-    station: SteppedStation, alarm: str, words: str
-) -> None:
+def test_only_a_staying_alarm_can_be_acknowledged(station: SteppedStation, alarm: str, words: str) -> None:
     """Others are refused with the reason, and nothing changes."""
     station.parts.status.say("disk", "8 MB free", "warning")
     with pytest.raises(ValueError, match=words):

@@ -41,9 +41,7 @@ def say(station: SteppedStation, words: Mapping[int, str], person: str = "kim") 
         station.parts.store.begin_act(act, 0)
 
 
-def test_a_shadow_says_what_it_would_decide_and_decides_nothing(
-    shadowed: Shadowed, tmp_path: Path, bundle: Path
-) -> None:
+def test_a_shadow_is_heard_and_decides_nothing(shadowed: Shadowed, tmp_path: Path, bundle: Path) -> None:
     """One that passes everything: verdicts are as without it, and both are in the result, the row and the history."""
     lenient = variant(bundle, tmp_path / "lenient", threshold={"value": 1e6})
     with SteppedStation(shadowed(bundle, folder="alone")) as alone:
@@ -77,9 +75,7 @@ def test_a_shadow_says_what_it_would_decide_and_decides_nothing(
     assert [one.text for one in check_database(database) if one.is_fault] == []
 
 
-def test_a_press_with_a_shadow_takes_one_head_more_and_no_trunk(
-    shadowed: Shadowed, bundle: Path, shadow: Path
-) -> None:
+def test_a_shadow_takes_one_head_more_and_no_trunk(shadowed: Shadowed, bundle: Path, shadow: Path) -> None:
     """The features of the bundle in use serve both; counted in runs of the graphs."""
     with SteppedStation(shadowed(bundle, shadow)) as station:
         station.play_presses(1)  # now all memory is there
@@ -172,9 +168,7 @@ def test_a_shadow_takes_over_by_itself_once_and_not_where_it_was_taken_back(
     assert station.results[-1].bundle_id == Bundle.load(bundle).digest
 
 
-def test_the_takeover_waits_for_the_end_of_a_press(
-    shadowed: Shadowed, bundle: Path, shadow: Path, few: None
-) -> None:
+def test_a_takeover_waits_for_a_press_end(shadowed: Shadowed, bundle: Path, shadow: Path, few: None) -> None:
     with SteppedStation(shadowed(bundle, shadow)) as station:
         station.play_presses(1)
         station.play_until(lambda: station.loop.session.has_contact)
@@ -268,9 +262,7 @@ def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
     assert asked[0] == ids[2]
 
 
-def test_a_shadow_that_has_learnt_false_alarms_need_not_wait(
-    shadowed: Shadowed, tmp_path: Path, bundle: Path
-) -> None:
+def test_a_shadow_that_cures_alarms_need_not_wait(shadowed: Shadowed, tmp_path: Path, bundle: Path) -> None:
     """Five good presses that the bundle in use fails and the shadow, judged from the archive, does not; with four, and
     where another bundle had failed them, it waits for 100 presses."""
     proven = Bundle.load(bundle).manifest.provenance.presses

@@ -32,9 +32,7 @@ def new(tmp_path: Path, bundle: Path) -> Path:
     return variant(bundle, tmp_path / "new", revision=2, threshold=FIVE | {"value": 0.2})
 
 
-def test_an_older_bundle_is_no_shadow_so_it_cannot_take_over(
-    shadowed: Shadowed, old: Path, new: Path
-) -> None:
+def test_an_older_bundle_is_no_shadow_and_cannot_take_over(shadowed: Shadowed, old: Path, new: Path) -> None:
     """A revision that was in use is the lowest, at a start and after it rose."""
     with SteppedStation(shadowed(new)) as first:
         first.play_presses(1)
@@ -92,9 +90,7 @@ def test_a_shadow_that_is_not_trusted_any_more_cannot_take_over(
         assert station.bundle_id == Bundle.load(old).digest
 
 
-def test_a_takeover_and_the_way_back_survive_a_reload_that_began_before(
-    shadowed: Shadowed, old: Path, new: Path
-) -> None:
+def test_takeover_and_way_back_survive_a_reload_of_before(shadowed: Shadowed, old: Path, new: Path) -> None:
     ids = Bundle.load(old).digest, Bundle.load(new).digest
     config = shadowed(old, new)
     with SteppedStation(config) as station:
@@ -118,9 +114,7 @@ def test_a_takeover_and_the_way_back_survive_a_reload_that_began_before(
             assert station.bundle_id == used, verb
 
 
-def test_a_configured_takeover_is_no_way_back_to_the_older_one(
-    shadowed: Shadowed, old: Path, new: Path
-) -> None:
+def test_a_configured_takeover_is_no_way_to_the_older_one(shadowed: Shadowed, old: Path, new: Path) -> None:
     """Once the shadow that took over is the configured bundle, the one before is an older bundle as any other."""
     with SteppedStation(shadowed(old, new)) as station:
         station.play_presses(1)
@@ -137,9 +131,7 @@ def test_a_configured_takeover_is_no_way_back_to_the_older_one(
         assert "is older" in station.alarm("bundle")
 
 
-def test_a_shadow_that_took_over_and_is_broken_goes_on_as_every_bundle_in_use(
-    shadowed: Shadowed, old: Path, new: Path
-) -> None:
+def test_a_broken_shadow_that_took_over_goes_on_as_others(shadowed: Shadowed, old: Path, new: Path) -> None:
     digest = Bundle.load(new).digest
     with SteppedStation(shadowed(old, new)) as station:
         station.play_presses(1)

@@ -194,9 +194,7 @@ def test_a_snapshot_of_a_station_is_a_recording_of_its_sensor(configure: Configu
     ("tables", "store", "words"),
     [("", "", "'snapshot' is off"), (SERVED, "free_mb = 1e9", "no snapshot is written: the disk of")],
 )
-def test_a_station_that_may_not_write_one_says_why(
-    configure: Configure, tables: str, store: str, words: str
-) -> None:
+def test_a_station_that_may_not_says_why(configure: Configure, tables: str, store: str, words: str) -> None:
     """It does not serve the request, as a station comes, or there is little room: the disk is the database's."""
     config = configure(tables=tables, store=store)
     with SteppedStation(config) as station, pytest.raises(ValueError, match=words):

@@ -111,9 +111,7 @@ def test_the_andon_light_follows_the_verdicts_and_a_fail_is_rejected(tmp_path: P
     assert [one for one in found if one[0] == 4] == [(4, False), (4, True)]
 
 
-def test_a_pulse_that_is_too_late_is_an_alarm_until_a_person_acknowledges_it(
-    tmp_path: Path, configure: Make
-) -> None:
+def test_a_late_pulse_is_an_alarm_until_a_person_acknowledges_it(tmp_path: Path, configure: Make) -> None:
     """The board's owner gets its turn after the deadline. The pedal clears the alarm and the red light."""
     text = ANDON.replace("60000", "50") + PEDAL.replace('trigger"', 'acknowledge"')
     with IoStation(configure(text)) as station:
@@ -313,9 +311,7 @@ def test_the_check_before_the_start_looks_for_the_board(configure: Make) -> None
         (("log =", "logs ="), "actuators.0.options"),
     ],
 )
-def test_a_wrong_table_is_refused_with_its_place(
-    configure: Make, change: tuple[str, str], words: str
-) -> None:
+def test_a_wrong_table_is_refused_at_its_place(configure: Make, change: tuple[str, str], words: str) -> None:
     assert change[0] in ANDON
     with pytest.raises(ConfigError, match=words):
         load_config(configure(ANDON.replace(*change)))
@@ -348,9 +344,7 @@ def test_the_pulse_of_a_pass_waits_for_the_database_and_that_of_a_fail_does_not(
     assert driver.show.call_args.args[0].verdict == "fail"
 
 
-def test_a_running_gateway_switches_and_leaves_the_outputs_of_stopped(
-    tmp_path: Path, configure: Make
-) -> None:
+def test_a_running_gateway_switches_and_leaves_outputs_of_stopped(tmp_path: Path, configure: Make) -> None:
     """With its threads, from the start to the end of a recording: the last writing is that of `stopped`."""
     config = load_config(configure(ANDON))
     with open_station(config, SystemClock()) as gateway:

@@ -67,9 +67,7 @@ def test_no_request_acts_on_a_press_that_was_over_before_it(
 
 
 @pytest.mark.parametrize(("hold", "is_at_rest"), [(2, None), (3, False), (8, True)])
-def test_a_result_says_whether_its_press_rested(
-    tmp_path: Path, bundle: Path, hold: int, is_at_rest: bool | None
-) -> None:
+def test_a_result_tells_of_rest(tmp_path: Path, bundle: Path, hold: int, is_at_rest: bool | None) -> None:
     """At 25 frames a second 8 frames are a rest, of 3 the peak is judged after the lift, and of 2 nothing."""
     film = press_recording(tmp_path / "film", 1, motion=Motion(hold=hold, idle=10), seed=4)
     with SteppedStation(station_config(tmp_path, film, bundle)) as station:
@@ -103,9 +101,7 @@ def test_a_new_gel_starts_from_nothing(station: SteppedStation) -> None:
         station.ask("replace_gel", gel_id="next")
 
 
-def test_presses_that_the_store_refuses_are_kept_and_recorded_when_they_can_be(
-    station: SteppedStation,
-) -> None:
+def test_presses_that_the_store_refuses_are_kept_and_recorded_when_possible(station: SteppedStation) -> None:
     """Halted with a reason while it lasts; commands are still answered; then all three, in order, once, each with its
     verdict."""
     with station.refusing("presses"):

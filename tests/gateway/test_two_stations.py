@@ -32,9 +32,7 @@ def configure(folder: Path, recording: Path, bundle: Path, serial: str | None, n
     return config
 
 
-def test_each_station_inspects_and_counts_on_its_own_sensor(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
+def test_each_station_counts_on_its_own_sensor(tmp_path: Path, recording: Path, bundle: Path) -> None:
     """Turn by turn on one computer: presses, gels and messages of one are never those of the other."""
     left = configure(tmp_path / "left", recording, bundle, LEFT, RIGHT)
     right = configure(tmp_path / "right", recording, bundle, RIGHT, LEFT)
@@ -50,9 +48,7 @@ def test_each_station_inspects_and_counts_on_its_own_sensor(
             assert [(gel.serial, gel.presses) for gel in store.gels()] == [(serial, 3)]
 
 
-def test_a_station_that_names_no_serial_refuses_to_choose(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
+def test_a_station_without_a_serial_refuses_to_choose(tmp_path: Path, recording: Path, bundle: Path) -> None:
     """Both serials are in the sentence, so that one can be copied into the configuration."""
     config = load_config(configure(tmp_path / "left", recording, bundle, None, RIGHT))
     with preflight(config, ManualClock()) as checked:

@@ -256,9 +256,7 @@ def test_a_request_that_is_wrong_in_itself_is_an_illegal_value(
 
 
 @pytest.mark.parametrize("sent", [b"GET / HTTP/1.1\r\n", b"\0\0\0\0\xff\xff\x01", b"\0\0\0\0\0\x01\x01"])
-def test_what_is_no_modbus_ends_the_connection(
-    connection: socket.socket, served: Served, sent: bytes
-) -> None:
+def test_no_modbus_ends_the_connection(connection: socket.socket, served: Served, sent: bytes) -> None:
     """And no other one."""
     connection.sendall(sent)
     with contextlib.suppress(ConnectionResetError):
@@ -311,9 +309,7 @@ def test_cables_that_fell_silent_keep_no_plc_out(served: Served) -> None:
     assert silent[0].client.socket.recv(1) == b"", "the one that was silent longest"
 
 
-def test_whoever_connects_again_and_again_does_not_fill_the_log(
-    served: Served, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_connecting_again_and_again_fills_no_log(served: Served, caplog: pytest.LogCaptureFixture) -> None:
     """A health check that speaks HTTP, every second of the year."""
     for _ in range(LINES_PER_MINUTE + 4):
         with socket.create_connection(("127.0.0.1", served.port), 5) as stranger:

@@ -151,9 +151,7 @@ def test_a_job_that_is_refused(
 
 
 @pytest.mark.parametrize("arguments", [(), (1,), ("1", "", ""), (1, 2, 3), (None, None, None), (-1, "", "")])
-def test_arguments_that_are_none_start_no_job(
-    served: Served, plc: OpcUaPlc, arguments: tuple[Any, ...]
-) -> None:
+def test_wrong_arguments_start_no_job(served: Served, plc: OpcUaPlc, arguments: tuple[Any, ...]) -> None:
     assert plc.call(f"{JOBS}/StartSingleJob", *arguments).startswith("Bad")
     assert served.handshake.taken == []
     seen = plc.read()

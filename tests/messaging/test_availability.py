@@ -106,9 +106,7 @@ def test_a_station_that_ends_leaves_no_will(mosquitto: LocalBroker, sink_to: Sin
     assert not sink._availability.is_held
 
 
-def test_without_the_second_connection_the_topic_is_empty(
-    mosquitto: LocalBroker, sink_to: SinkTo, listen: Listen
-) -> None:
+def test_without_it_the_topic_is_empty(mosquitto: LocalBroker, sink_to: SinkTo, listen: Listen) -> None:
     """With the option off nothing says online: no one could say offline later."""
     listener = listen(mosquitto)
 

@@ -89,9 +89,7 @@ def stats(**more: Any) -> list[Message]:
         ("unsent", stats(outbox_rows=3), "3"),
     ],
 )
-def test_each_entity_shows_what_the_station_says(
-    component: str, messages: Sequence[Message], shown: str
-) -> None:
+def test_entities_show_what_a_station_says(component: str, messages: Sequence[Message], shown: str) -> None:
     """From the topic that it names. Home Assistant reads `None` as "unknown"."""
     entity = DEVICE["components"][component]
     by_topic = {

@@ -35,9 +35,7 @@ KEY = "ec -pkeyopt ec_paramgen_curve:prime256v1"  # made at once, where one of R
 @pytest.mark.parametrize(
     ("protocol", "words"), [("5", "takes packets up to"), ("3.1.1", "closed the connection 3 times")]
 )
-def test_a_message_that_is_too_large_is_refused_and_the_next_goes_through(
-    sink_to: SinkTo, protocol: str, words: str
-) -> None:
+def test_too_large_is_refused_and_the_next_goes_through(sink_to: SinkTo, protocol: str, words: str) -> None:
     """Level 5 states the limit; at 3.1.1 the broker only closes the connection, and three times are proof."""
     require("mosquitto")
     with LocalBroker("mosquitto", extra="max_packet_size 2000") as broker:
@@ -48,9 +46,7 @@ def test_a_message_that_is_too_large_is_refused_and_the_next_goes_through(
 
 
 @pytest.mark.parametrize(("room", "words"), [(0, None), (-1, "takes packets up to")])
-def test_a_packet_is_topic_payload_and_what_surrounds_them(
-    scripted: ScriptedBroker, room: int, words: str | None
-) -> None:
+def test_a_packet_is_more_than_its_payload(scripted: ScriptedBroker, room: int, words: str | None) -> None:
     """What just fits is sent; one byte more would close the connection, with others on it."""
     connection = Connection.open(Broker("127.0.0.1", scripted.port, "x", level="5", timeout_s=PATIENCE_S))
     connection._largest_packet = 50 + 100 + _PACKET_OVERHEAD_BYTES + room
@@ -130,9 +126,7 @@ def certificates(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_mutual_tls_lets_in_who_has_a_certificate_and_nobody_else(
-    sink_to: SinkTo, certificates: Path
-) -> None:
+def test_mutual_tls_lets_in_who_has_a_certificate_and_no_other(sink_to: SinkTo, certificates: Path) -> None:
     """With both files the message is acknowledged; without our certificate, or with a strange authority, it waits."""
     require("mosquitto")
     files = {name: str(certificates / name) for name in ("ca.pem", "client.pem", "client.key", "server.pem")}

@@ -227,9 +227,7 @@ def test_a_machine_that_does_not_answer_is_given_up_in_time(monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("end", [Connection.close, lambda one: one.abandon("given up")])
-def test_an_ended_connection_leaves_no_socket(
-    mosquitto: LocalBroker, end: Callable[[Connection], None]
-) -> None:
+def test_no_connection_leaves_a_socket(mosquitto: LocalBroker, end: Callable[[Connection], None]) -> None:
     """The library closes its own with its client: that one is gone with the connection, without the collector."""
     gc.disable()
     try:

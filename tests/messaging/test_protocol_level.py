@@ -47,9 +47,7 @@ def test_a_broker_that_hangs_while_5_is_tried_and_is_awake_for_3_1_1_is_spoken_t
 
 
 @pytest.mark.parametrize("how", ["silent", "close"])
-def test_a_sink_that_had_level_5_never_falls_on_silence(
-    scripted: ScriptedBroker, sink: MqttSink, how: str
-) -> None:
+def test_a_sink_at_level_5_stays_in_silence(scripted: ScriptedBroker, sink: MqttSink, how: str) -> None:
     """However often the broker hangs or closes: level 5 or nothing."""
     assert sink.step() is None
     scripted.connects = [how] * 4
@@ -90,9 +88,7 @@ def test_a_broker_that_knows_only_3_1_1_is_used_and_asked_again_for_5(
     assert sink.level == "5"
 
 
-def test_a_broker_that_says_that_it_does_not_know_5_is_believed(
-    scripted: ScriptedBroker, sink: MqttSink
-) -> None:
+def test_a_broker_that_says_it_does_not_know_5_is_believed(scripted: ScriptedBroker, sink: MqttSink) -> None:
     """And a station that had level 5 at this address reports the loss: denied messages would now vanish."""
     assert sink.step() is None
     assert isinstance(sink, ReportsFaults)

@@ -187,9 +187,7 @@ def test_a_publisher_that_cannot_start_leaves_the_database_closed(path: Path) ->
     assert path not in {file.resolve() for file in Path("/proc/self/fd").iterdir()}
 
 
-def test_a_fault_in_a_plugin_is_logged_and_retried(
-    store: Store, path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_plugin_faults_are_retried(store: Store, path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """An exception of no known kind ends neither the thread nor the other sink; its traceback is in the log."""
 
     class Broken(ScriptedSink):

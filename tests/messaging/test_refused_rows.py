@@ -117,9 +117,7 @@ def test_the_refusals_of_one_kind_are_one_log_line(path: Path, caplog: pytest.Lo
     [("payload", b"\xff{"), ("payload", b"\x80"), ("topic", b"result/\xff")],
     ids=["no JSON", "no text", "no topic"],
 )
-def test_a_damaged_row_is_set_aside_and_what_is_behind_it_is_sent(
-    path: Path, column: str, value: bytes
-) -> None:
+def test_a_damaged_row_is_set_aside_and_what_follows_is_sent(path: Path, column: str, value: bytes) -> None:
     """After some attempts, because a fault of the plugin looks the same; it is kept, and counted as refused."""
 
     class Strict(ScriptedSink):

@@ -93,9 +93,7 @@ def test_an_answer_may_go_below_the_request_s_own_topic(scripted: ScriptedBroker
     assert scripted.published == [(f"{TRIGGER}/response/line-7", b"done")]
 
 
-def test_a_request_that_is_too_large_is_refused_unread(
-    scripted: ScriptedBroker, sink: MqttSink, asked: Asked
-) -> None:
+def test_too_large_requests_are_unread(scripted: ScriptedBroker, sink: MqttSink, asked: Asked) -> None:
     """It is not kept either: 16 large ones would be the memory of the gateway."""
     scripted.send(TRIGGER, b"x" * (LARGEST_REQUEST_BYTES + 1))
 

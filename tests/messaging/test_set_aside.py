@@ -72,9 +72,7 @@ def test_three_closings_on_one_message_after_others_were_taken_are_its_refusal(
     assert outcomes(sink, 3) == [SinkUnavailable, SinkUnavailable, SinkRejected]
 
 
-def test_closings_by_a_broker_that_has_taken_nothing_are_no_refusal(
-    scripted: ScriptedBroker, stepped: Stepped
-) -> None:
+def test_closings_with_nothing_taken_are_no_refusal(scripted: ScriptedBroker, stepped: Stepped) -> None:
     """It may close on any message: a broker in trouble must not empty the queue into the refused rows."""
     scripted.topics = {"result": "close"}
     sink = stepped(scripted)
@@ -139,9 +137,7 @@ def test_closings_while_nothing_waits_suggest_a_second_client_with_the_same_id(
     assert "another client uses the client id 'press2'" in fault
 
 
-def test_a_birth_that_breaks_once_does_not_keep_the_sink_down_for_ever(
-    scripted: ScriptedBroker, stepped: Stepped
-) -> None:
+def test_a_birth_that_breaks_once_keeps_no_sink_down(scripted: ScriptedBroker, stepped: Stepped) -> None:
     """An unexpected error in a function of the station: the connection is made again."""
     births = iter([RuntimeError("unexpected"), []])
 

@@ -125,9 +125,7 @@ def test_rows_that_waited_are_marked_as_replayed(store: Store, outbox: Outbox, s
     assert [r["is_replayed"] for r in sink.results()] == [True, False, True, True, False]
 
 
-def test_rows_that_waited_for_a_slow_acknowledgement_are_marked_as_replayed(
-    store: Store, outbox: Outbox
-) -> None:
+def test_rows_that_waited_for_a_slow_acknowledgement_are_replayed(store: Store, outbox: Outbox) -> None:
     """The receiver answers after five seconds: the press made meanwhile is late, and the one after it is not."""
     clock = ManualClock()
 
@@ -169,9 +167,7 @@ def test_a_change_of_the_state_waits_for_no_row_that_waits(store: Store, outbox:
     assert sink.topics()[:2] == ["result", "state"]
 
 
-def test_a_lost_acknowledgement_means_the_same_press_twice(
-    store: Store, outbox: Outbox, sink: ScriptedSink
-) -> None:
+def test_a_lost_acknowledgement_is_a_press_twice(store: Store, outbox: Outbox, sink: ScriptedSink) -> None:
     """At least once: the repetition has the same id and, except for its mark, the same content."""
     one = worker(outbox, sink)
     drain(one)
@@ -237,9 +233,7 @@ def test_retained_topics_never_go_back_in_time(store: Store, outbox: Outbox, sin
     assert (lasts[-1], gels[-1]) == (make_press(29).time_ns, 30)
 
 
-def test_a_new_connection_hears_the_newest_retained_messages(
-    store: Store, outbox: Outbox, sink: ScriptedSink
-) -> None:
+def test_a_new_connection_hears_what_is_newest(store: Store, outbox: Outbox, sink: ScriptedSink) -> None:
     """A broker that restarted without memory gets the delivered `gel`, not the one sent at the start."""
     retained_state = RetainedState()
     retained_state.announce(Message("gel", b'{"presses":0}', retain=True))
@@ -281,9 +275,7 @@ def test_a_slower_sink_does_not_turn_the_retained_messages_back() -> None:
         assert newest == [b"1" if row == 1 else b"5"]
 
 
-def test_announcements_bypass_the_outbox_and_only_the_latest_counts(
-    outbox: Outbox, sink: ScriptedSink
-) -> None:
+def test_announcements_bypass_the_outbox_and_the_latest_counts(outbox: Outbox, sink: ScriptedSink) -> None:
     """A state that changed twice while the sink was away is published once, with its current value."""
     retained_state = RetainedState()
     one = worker(outbox, sink, retained_state=retained_state)
@@ -325,9 +317,7 @@ def test_a_refused_announcement_is_said_again_when_it_is_still_so(outbox: Outbox
     assert states == ["ready", "halted"]
 
 
-def test_a_topic_that_is_always_refused_keeps_no_other_from_being_said_again(
-    outbox: Outbox, sink: ScriptedSink
-) -> None:
+def test_a_topic_always_refused_keeps_no_other_from_being_said(outbox: Outbox, sink: ScriptedSink) -> None:
     """As where a broker's rules lack `questions`, which change with every press."""
     retained_state, clock = RetainedState(), ManualClock()
     one = worker(outbox, sink, retained_state=retained_state, clock=clock)

@@ -146,9 +146,7 @@ def seq(payload: bytes) -> int:
     return payload[-1]
 
 
-def test_a_session_is_born_numbered_born_again_and_ended(
-    mosquitto: LocalBroker, open_sink: Open, listen: Listen
-) -> None:
+def test_a_session_from_birth_to_death(mosquitto: LocalBroker, open_sink: Open, listen: Listen) -> None:
     """The birth has every metric with what is known; numbers have no gap; nonsense of a host is left out."""
     listener = listen(mosquitto, "spBv1.0/#")
     sink = open_sink(mosquitto)

@@ -44,9 +44,7 @@ def test_outputs_are_read_without_a_session() -> None:
     assert output_names(tiny.tiny_trunk()) == ["layer1", "layer2"]
 
 
-def test_external_data_is_refused_although_the_file_is_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_external_data_is_refused_where_it_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A graph given as bytes would read files of the working directory; it is refused before it is parsed."""
     monkeypatch.chdir(tmp_path)
     Path("weights.bin").write_bytes(np.ones(2, np.float32).tobytes())

@@ -55,9 +55,7 @@ def test_the_probe_is_the_graph_that_is_drawn_here() -> None:
 
 
 @pytest.mark.parametrize("saturates", [False, True])
-def test_wide_sums_are_asked_for_only_where_they_are_needed(
-    saturates: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_wide_sums_are_asked_for_where_needed(saturates: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """The option costs an int8 trunk twice its time, also where nothing saturates."""
     monkeypatch.setattr(runtime, "saturates", lambda: saturates)
     options = open_session(probe(), 1, "graph").get_session_options()

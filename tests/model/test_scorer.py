@@ -150,9 +150,7 @@ def test_one_bad_pixel_in_the_map_is_no_score() -> None:
     ],
     ids=["unknown input", "bank shape", "bank dtype", "map shape", "tap shape", "no tap"],
 )
-def test_a_head_that_does_not_fit_is_refused_before_the_first_press(
-    body: str, inputs: str, reason: str
-) -> None:
+def test_a_head_that_does_not_fit_is_refused_before_any_press(body: str, inputs: str, reason: str) -> None:
     """The scorer cannot be made; the error names what does not fit."""
     with pytest.raises(BundleCorrupt, match=reason):
         Scorer(with_head(body, inputs))

@@ -84,9 +84,7 @@ def test_a_name_that_is_not_ours_is_refused(reached: str, host: str) -> None:
         ({"content-type": ""}, 415),
     ],
 )
-def test_the_page_itself_may_ask_for_a_change_and_another_may_not(
-    more: dict[str, str], status: int | None
-) -> None:
+def test_the_page_may_ask_for_a_change_and_another_may_not(more: dict[str, str], status: int | None) -> None:
     refused = change_refusal({**OWN, **more})
     assert (refused and refused.status) == status
 

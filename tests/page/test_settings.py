@@ -31,9 +31,7 @@ def test_options_that_cannot_work_are_refused(options: dict[str, object], words:
         PageSettings.model_validate(options)
 
 
-def test_the_token_is_in_a_file_or_in_the_environment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_token_is_in_a_file_or_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Blanks around it do not count; without both there is none, and a variable that is not set is named."""
     (tmp_path / "token").write_bytes(b" correct-horse\n")
     (tmp_path / "token").chmod(0o640)

@@ -320,9 +320,7 @@ def test_a_request_that_takes_too_long_is_left(sink: PageSink, clock: ManualCloc
         ("GET http://localhost/station.json", "Accept: x", "names a path that begins with '/'"),
     ],
 )
-def test_what_a_proxy_may_read_otherwise_is_refused(
-    sink: PageSink, request_line: str, headers: str, words: str
-) -> None:
+def test_what_proxies_misread_is_refused(sink: PageSink, request_line: str, headers: str, words: str) -> None:
     """With 400, and the connection ends: what follows is no second request."""
     sent = f"{request_line} HTTP/1.1\r\nHost: localhost\r\n{headers}\r\n\r\n".encode("latin-1")
     answer = rest(connected(sink.port, sent + WHOLE))

@@ -26,9 +26,7 @@ TEXT = "the disk of /var/lib/gelgate has 212 MB free, expected at least 500 MB; 
     [(390, 844), (1024, 768), (1280, 800), (1440, 900), (1920, 1080)],
     ids=["phone", "tablet", "desk", "large desk", "television"],
 )
-def test_press_and_heatmap_are_whole_without_scrolling(
-    browser: Any, sink: PageSink, size: tuple[int, int]
-) -> None:
+def test_press_and_heatmap_need_no_scrolling(browser: Any, sink: PageSink, size: tuple[int, int]) -> None:
     """Also below three alarms and above a long reason; nothing is wider than the window."""
     alarms = [
         AlarmPayload(time_ns=T0_NS, alarm=name, text=f"{name}: {TEXT}").message()
@@ -64,9 +62,7 @@ def test_press_and_heatmap_are_whole_without_scrolling(
     tab.close()
 
 
-def test_a_phone_shows_the_most_serious_alarm_whole_and_a_line_opens_the_others(
-    browser: Any, sink: PageSink
-) -> None:
+def test_a_phone_shows_the_worst_alarm_and_a_line_opens_the_others(browser: Any, sink: PageSink) -> None:
     """An error comes before the warnings that were there first, and a list that changes stays open."""
     for alarm, severity in (("gel", "warning"), ("receiver", "warning"), ("outbox_full", "error")):
         text = f"{alarm}: {TEXT}"

@@ -49,9 +49,7 @@ def test_every_entry_point_names_a_value_in_a_module(group: str) -> None:
 
 
 @pytest.mark.parametrize("group", PROTOCOLS)
-def test_an_object_of_another_shape_is_refused_with_what_it_lacks(
-    group: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_shape_is_refused_with_what_it_lacks(group: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A module is not a plugin."""
     install(monkeypatch, group, "odd", "types:SimpleNamespace")
     get, _ = PROTOCOLS[group]

@@ -164,9 +164,7 @@ def test_going_on_after_nothing_begins_again(tmp_path: Path) -> None:
         (RecordingHeader("other", SERIAL, (64, 48), 25.0, "mini_lr"), 2, "choose another folder"),
     ],
 )
-def test_another_recording_is_not_continued(
-    tmp_path: Path, header: RecordingHeader, keep: int, says: str
-) -> None:
+def test_another_recording_is_refused(tmp_path: Path, header: RecordingHeader, keep: int, says: str) -> None:
     """Fewer complete lines than requested, or another sensor: refused, and nothing is changed."""
     with RecordingWriter(tmp_path / "r", HEADER) as writer:
         for k in range(5):

@@ -25,9 +25,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_a_dataset_that_was_ended_continues(
-    how: signal.Signals, whole: dict[str, str], tmp_path: Path
-) -> None:
+def test_an_ended_dataset_continues(how: signal.Signals, whole: dict[str, str], tmp_path: Path) -> None:
     """After SIGINT the exit code is 130, every picture is readable, and no file is partial; after SIGKILL the workers
     end too (they hold its standard error open). The same command then gives the bytes of an uninterrupted run, and
     leaves complete pictures as they are; another seed is refused."""

@@ -182,9 +182,7 @@ def test_an_incomplete_dataset_and_another_version_are_not_read(tmp_path: Path) 
         (lambda to: simulate("small", to, run="night"), "leave --run out"),  # a dataset has no run
     ],
 )
-def test_what_a_scene_does_not_have_is_refused(
-    make: Callable[[Path], object], words: str, tmp_path: Path
-) -> None:
+def test_what_a_scene_lacks_is_refused(make: Callable[[Path], object], words: str, tmp_path: Path) -> None:
     """Also numbers beyond the limits of its file; nothing is made."""
     with pytest.raises(ConfigError, match=words):
         make(tmp_path / "out")

@@ -135,9 +135,7 @@ def test_an_older_database_is_migrated_after_a_backup(tmp_path: Path) -> None:
     assert [finding for finding in check_database(path) if finding.is_fault] == []
 
 
-def test_a_migration_that_fails_leaves_the_file_as_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_migration_changes_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every byte of it, next to the copy."""
     path = tmp_path / "gelgate.db"
     path.write_bytes(KEPT.read_bytes())

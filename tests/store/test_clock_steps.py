@@ -67,9 +67,7 @@ def test_a_message_older_than_the_limit_is_dropped_and_counted_as_aged(path: Pat
     assert status.aged == status.dropped
 
 
-def test_running_time_goes_on_after_a_restart_and_does_not_count_while_nothing_runs(
-    path: Path, uptime: Uptime
-) -> None:
+def test_running_time_goes_on_after_a_restart_and_not_while_nothing_runs(path: Path, uptime: Uptime) -> None:
     """Two runs of 0.6 days are 1.2 days, whatever the uptime of the machine says in the second."""
     with opened(path, uptime) as store:
         record(store, make_press(1), Message("old", b""))

@@ -26,9 +26,7 @@ def test_a_picture_comes_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "content", [b"", b"not an array", b"\x93NUMPY\x01\x00", np.zeros((60, 80, 3), np.float32)]
 )
-def test_a_damaged_picture_or_one_of_another_size_is_none(
-    tmp_path: Path, content: bytes | np.ndarray
-) -> None:
+def test_a_picture_damaged_or_of_another_size_is_none(tmp_path: Path, content: bytes | np.ndarray) -> None:
     """A power failure leaves an empty file; compared with today's, another size would end the gateway."""
     path = tmp_path / "S1" / "g.last.npy"
     path.parent.mkdir()

@@ -51,9 +51,7 @@ def test_a_bundle_is_proven_on_its_first_gel_and_not_on_the_next(mounted: Store)
     assert second == GelProof(None, f"it was used on gel {SERIAL}-1")
 
 
-def test_a_bundle_that_inspected_before_the_table_was_there_is_not_proven_on_a_new_gel(
-    mounted: Store,
-) -> None:
+def test_a_bundle_that_inspected_before_the_table_was_there_is_unproven_on_a_new_gel(mounted: Store) -> None:
     """Its use is known from the record of bundles in use: a database of an older version has no other."""
     mounted.use_bundle(PART, 1, "b" * 64, T0 + 1)
     mounted.replace_gel(SERIAL, T0 + DAY_NS)

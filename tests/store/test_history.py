@@ -45,9 +45,7 @@ def numbers(path: Path, query: HistoryQuery) -> list[int]:
         (HistoryQuery(position="left"), []),
     ],
 )
-def test_a_query_gives_the_presses_that_fit_oldest_first(
-    six: Path, query: HistoryQuery, expected: list[int]
-) -> None:
+def test_a_query_gives_what_fits_oldest_first(six: Path, query: HistoryQuery, expected: list[int]) -> None:
     """Every condition holds; a moment `since` is in, a moment `until` is not; the newest of those that fit."""
     assert numbers(six, query) == expected
 

@@ -122,9 +122,7 @@ def test_a_study_keeps_its_plan_and_its_presses(store: Store, path: Path) -> Non
     "read",
     [reference_presses.read_pieces, study_presses.studies, partial(study_presses.read_study, study_id="s")],
 )
-def test_an_older_database_is_not_read_before_it_is_migrated(
-    read: Callable[[Path], object], tmp_path: Path
-) -> None:
+def test_an_older_database_is_unread_until_migrated(read: Callable[[Path], object], tmp_path: Path) -> None:
     """One sentence that says how."""
     old = Path(__file__).parents[1] / "compatibility" / "version_0_1_0" / "gelgate.db"
     copy = Path(shutil.copy(old, tmp_path / "old.db"))

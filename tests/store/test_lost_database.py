@@ -171,9 +171,7 @@ def test_an_earlier_count_that_waits_does_not_replace_one_that_was_corrected(pat
         assert [row.message.topic for row in outbox.pending("mqtt", 9)] == ["result"]
 
 
-def test_uncounted_presses_do_not_stop_a_new_gel_from_taking_the_place_of_an_impossible_one(
-    path: Path,
-) -> None:
+def test_uncounted_presses_stop_no_new_gel_from_taking_the_place_of_an_impossible_one(path: Path) -> None:
     """It is what the refusal of such a gel tells to do."""
     with Store(path) as store:
         count(store, make_press(1))

@@ -35,9 +35,7 @@ def press_pieces(store: Store, numbers: range) -> None:
         store.record_press(press, lambda recorded: [], None, lambda it, number=number: write(it, number))
 
 
-def test_the_ledger_agrees_after_old_presses_and_old_pieces_have_gone(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_ledger_agrees_after_old_rows_have_gone(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is kept of either is chained."""
     monkeypatch.setattr(press_store, "KEPT_PRESSES", 4)
     monkeypatch.setattr(pieces, "KEPT_PIECES", 6)

@@ -222,9 +222,7 @@ def write_tables(statement: str) -> Callable[[Path], object]:
     ],
     ids=["text", "garbage", "another program's"],
 )
-def test_a_file_that_is_no_database_of_ours_is_refused(
-    path: Path, write: Callable[[Path], object], says: str
-) -> None:
+def test_a_file_of_no_database_is_refused(path: Path, write: Callable[[Path], object], says: str) -> None:
     """A sentence names the file; the file is left as it is."""
     write(path)
     before = path.read_bytes()

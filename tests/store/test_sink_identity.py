@@ -53,9 +53,7 @@ def test_a_receiver_that_is_absent_for_a_while_gets_nothing_twice(path: Path) ->
     [(["mqtt"], 2), (["mqtt", "mqtt-2"], 3)],
     ids=["one", "several: which was which is not known"],
 )
-def test_names_by_position_are_taken_over_where_they_are_clear(
-    path: Path, names: list[str], at_a: int
-) -> None:
+def test_names_by_position_are_taken_over_where_clear(path: Path, names: list[str], at_a: int) -> None:
     """Of three rows the sink `mqtt` had one. Doubled is allowed, lost is not."""
     record(path, 3)
     with Outbox(path) as outbox:

@@ -145,9 +145,7 @@ client.subscribe("gelgate/#", () => setTimeout(() => { console.log(JSON.stringif
 """
 
 
-def test_a_client_of_node_reads_everything_from_the_broker(
-    broker: LocalBroker, config: Path, installed: Path
-) -> None:
+def test_a_node_client_reads_everything_there(broker: LocalBroker, config: Path, installed: Path) -> None:
     """Nothing but the address: the document names the topics that it has just received."""
     heard = json.loads(run(["node", "-e", READ, broker.port], cwd=installed))
     document = json.loads(heard[f"{ROOT}/asyncapi"])
@@ -214,9 +212,7 @@ asyncio.run(check())
 """
 
 
-def test_home_assistant_accepts_the_discovery_message(
-    broker: LocalBroker, config: Path, tmp_path: Path
-) -> None:
+def test_home_assistant_accepts_the_discovery(broker: LocalBroker, config: Path, tmp_path: Path) -> None:
     """By its own schemas: that of the device, and that of the platform of each entity."""
     python = INSTALLED / "home-assistant" / "bin" / "python"
     if not list((INSTALLED / "home-assistant").glob("lib/python*/site-packages/homeassistant")):

@@ -21,9 +21,7 @@ ROOT = "gelgate/site/line/station/gel/v1"
 
 
 @pytest.mark.parametrize("strength", [None, 1.0], ids=["as deep as at fit", "far deeper"])
-def test_the_robot_lifts_each_part_once_when_its_verdict_is_recorded(
-    tmp_path: Path, strength: float | None
-) -> None:
+def test_the_robot_lifts_each_part_once_when_judged(tmp_path: Path, strength: float | None) -> None:
     """In real time: once for each press, with its id. Where presses are too deep it is told to go back instead. The
     film is shown again until three presses were seen: a machine that is busy elsewhere may miss some."""
     if "mosquitto" not in available_brokers():

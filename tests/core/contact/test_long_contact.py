@@ -10,9 +10,7 @@ S = 1_000_000_000
 @pytest.mark.parametrize(
     ("lengths_s", "alarm_s"), [([], 15.0), ([0.6] * 3, 3.0), ([2.0, 30.0, 2.0], 8.0), ([60.0] * 9, 240.0)]
 )
-def test_the_alarm_comes_at_four_times_the_usual_length_and_the_fault_at_eight(
-    lengths_s: list[float], alarm_s: float
-) -> None:
+def test_alarm_at_four_times_the_usual_length_fault_at_eight(lengths_s: list[float], alarm_s: float) -> None:
     """At least 3 s; 15 s where no length is known yet; one long contact among short ones does not change it."""
     contact, now = LongContact(), 0
     for length in lengths_s:

@@ -27,9 +27,7 @@ def unseen(number: int, how: str) -> bytes:
 
 @pytest.mark.parametrize("how", ["black", "broken"])
 @pytest.mark.parametrize(("frames", "settled"), [(3, True), (100, False)])
-def test_a_press_is_not_judged_by_what_was_seen_before_it_was_hidden(
-    how: str, frames: int, settled: bool
-) -> None:
+def test_a_press_is_not_judged_by_what_was_seen_before_hidden(how: str, frames: int, settled: bool) -> None:
     """It is pressed for four frames, which is too short to rest, then nothing is seen, then it is lifted. Three frames
     are no interruption: it is judged at its peak. In a hundred the part may have been exchanged."""
     detector, events = PressDetector(PROFILE), []

@@ -52,9 +52,7 @@ def measure(press: F64, places: Mask, good: tuple[F64, ...] = (), sound: Mask | 
 @pytest.mark.parametrize("at_mm", [(0.0, 0.0), (-4.0, 3.0), (9.6, 0.0), (-10.0, -7.4)])
 @pytest.mark.parametrize("depth_mm", [0.2, -0.2, 0.05])
 @pytest.mark.parametrize("width_mm", [0.8, 1.5])
-def test_depth_and_size_of_a_dent_come_back(
-    at_mm: tuple[float, float], depth_mm: float, width_mm: float
-) -> None:
+def test_depth_and_size_come_back(at_mm: tuple[float, float], depth_mm: float, width_mm: float) -> None:
     """In the middle, and at the border and in the corner of the view; a bump is a negative depth. The depth within a
     twentieth, for the dent reaches a little into what is around it, in the corner within what is stated; the size
     within two pixels."""
@@ -115,9 +113,7 @@ NOTHING, EVERYTHING = np.zeros_like(SPOT), np.ones_like(SPOT)
     ],
     ids=["empty", "whole field", "masked", "unseen", "unseen there", "no change", "below noise"],
 )
-def test_what_cannot_be_told_is_not_claimed(
-    press: F64, places: Mask, sound: Mask | None, remark: str
-) -> None:
+def test_what_is_not_known_is_not_claimed(press: F64, places: Mask, sound: Mask | None, remark: str) -> None:
     found = measure(press, places, sound=sound)
     assert (found.depth_mm, found.size_mm, found.size_u95_mm) == (None, None, None)
     assert found.remark.startswith(remark), found.remark

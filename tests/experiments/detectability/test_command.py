@@ -54,9 +54,7 @@ def test_presses_apart_are_judged_by_the_bundle(measured: tuple[Path, Outcome]) 
     assert "dent" in (output / "detectability.csv").read_text()
 
 
-def test_learnt_presses_are_judged_by_banks_without_them(
-    fitted: Path, pictures: Path, tmp_path: Path
-) -> None:
+def test_learnt_presses_are_judged_by_banks_of_others(fitted: Path, pictures: Path, tmp_path: Path) -> None:
     """All presses of the fit: each is edited and judged by a bank of the others."""
     outcome = run(fitted, [pictures / "learnt"], tmp_path, "--no-contact", pictures / "free", "--spacing", 6)
     assert outcome.code == 0, outcome.err

@@ -68,16 +68,12 @@ def judge(score: float, peak: tuple[int, int]) -> Judge:
         (2.0, 88, False),
     ],
 )
-def test_damage_is_found_where_the_verdict_is_fail(
-    press: EditedPress, score: float, column: int, is_found: bool
-) -> None:
+def test_a_fail_finds_the_damage(press: EditedPress, score: float, column: int, is_found: bool) -> None:
     """By the bundle's limit and tolerance: unsure is no find. The map is highest on the damage, or within a cell."""
     assert judge(score, (48, column)).finds(press, Damage("dent", 0.1, Spot(0, 0, 0))) is is_found
 
 
 @pytest.mark.parametrize(("score", "passes"), [(0.5, True), (1.0, False), (1.2, False)])
-def test_a_press_that_fails_or_is_unsure_does_not_pass(
-    press: EditedPress, score: float, passes: bool
-) -> None:
+def test_a_press_that_fails_or_is_unsure_is_no_pass(press: EditedPress, score: float, passes: bool) -> None:
     """Such a press is not edited: a find on it would prove nothing."""
     assert judge(score, (0, 0)).passes(press.rgb) is passes

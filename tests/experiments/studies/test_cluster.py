@@ -78,9 +78,7 @@ def workers(folder: Path, address: str, count: int) -> Iterator[None]:
         yield
 
 
-def test_the_cells_of_a_worker_that_dies_are_run_by_the_other(
-    tmp_path: Path, rows: Rows, counted: Counted
-) -> None:
+def test_cells_of_a_dead_worker_are_run_by_the_other(tmp_path: Path, rows: Rows, counted: Counted) -> None:
     """Two workers, one killed in the middle of a cell: every cell has one row."""
     with scheduler(tmp_path) as (address, _), workers(tmp_path, address, 2):
         run(cells(8), DiesOnce(counted, 3), rows, dask=address, progress=quiet)
@@ -132,9 +130,7 @@ def test_a_scheduler_that_is_not_there_is_a_sentence_in_bounded_time(
 
 
 @pytest.mark.parametrize("address", ["nonsense://x", "not an address", "127.0.0.1", "tcp://host:port"])
-def test_an_address_that_is_none_is_a_sentence(
-    rows: Rows, counted: Counted, tmp_path: Path, address: str
-) -> None:
+def test_what_is_no_address_is_a_sentence(rows: Rows, counted: Counted, tmp_path: Path, address: str) -> None:
     """With the form that an address has. No client is made: it could not be closed. The options refuse it at once."""
     said = re.escape(f"'{address}' is no address of a Dask scheduler")
     with pytest.raises(ConfigError, match=said):

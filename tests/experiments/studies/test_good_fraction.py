@@ -143,9 +143,7 @@ def test_empty_masks_are_a_sentence(dataset: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "out/rows.jsonl").exists()
 
 
-def test_what_may_be_a_mistake_is_said_once(
-    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_likely_mistakes_are_said(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One empty mask, and a copy of a picture: the study runs, and says both."""
     copy = Path(shutil.copytree(dataset, tmp_path / "data"))
     home = copy / "PZ3/pos1"

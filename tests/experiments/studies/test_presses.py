@@ -55,9 +55,7 @@ def test_presses_that_cannot_be_studied_are_a_sentence(presses: list[LabelledPre
 
 
 @pytest.mark.parametrize(("size", "region"), [((640, 480), (224, 224)), ((48, 40), (40, 48))])
-def test_other_sizes_are_seen_in_the_middle_or_completely(
-    size: tuple[int, int], region: tuple[int, int]
-) -> None:
+def test_other_sizes_are_seen_in_the_middle_or_whole(size: tuple[int, int], region: tuple[int, int]) -> None:
     """The paper's crop where it fits."""
     found = presses_of(dataset(press("a", size=size), press("b", size=size, defect=True)), "PZ1", "pos1")
 

@@ -78,9 +78,7 @@ def test_a_recording_of_another_mode_is_refused(station: tuple[Path, Path], tmp_
     assert "use a bundle made for this sensor's mode" in ended.sentence()
 
 
-def test_a_needed_package_that_is_not_installed_is_left_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_needed_package_not_installed_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     described = tmp_path / "lone-1.0.dist-info"
     described.mkdir()
     needs = "Requires-Dist: nowhere-to-be-found\nRequires-Dist: numpy\n"

@@ -71,9 +71,7 @@ def test_a_run_goes_on_where_it_was_interrupted(
     assert [row["content_sha256"] for row in again] == [row["content_sha256"] for row in rows]
 
 
-def test_a_folder_of_another_run_is_refused(
-    measured: tuple[Path, list[dict[str, Any]]], dataset: Path
-) -> None:
+def test_another_run_s_folder_is_refused(measured: tuple[Path, list[dict[str, Any]]], dataset: Path) -> None:
     """Points of two seeds would be mixed."""
     with pytest.raises(ConfigError, match="holds an unfinished run with other presses or another seed"):
         measure(run_of(dataset, seed=1), measured[0], progress)
@@ -92,9 +90,7 @@ def test_finished_rows_of_another_run_are_refused(
         require_same_run(read_rows(file), run_of(dataset, POINTS[:1]), file)
 
 
-def test_the_bundle_of_a_point_is_what_was_measured(
-    measured: tuple[Path, list[dict[str, Any]]], dataset: Path
-) -> None:
+def test_a_bundle_is_what_was_measured(measured: tuple[Path, list[dict[str, Any]]], dataset: Path) -> None:
     """The same trunk, head and bank, the accuracy card measured with the bundle itself, and the row's cost card."""
     row = measured[1][0]
     fitted = bundle_of(POINTS[0], run_of(dataset), row=row)
@@ -161,9 +157,7 @@ def test_an_unknown_point_is_refused_with_the_nearest(dataset: Path) -> None:
     ],
     ids=["no damage", "empty masks", "one piece"],
 )
-def test_presses_that_show_nothing_are_refused(
-    tmp_path: Path, changes: dict[str, Any], sentence: str
-) -> None:
+def test_presses_showing_nothing_are_refused(tmp_path: Path, changes: dict[str, Any], sentence: str) -> None:
     """Before any work, in one sentence."""
     root = make_dataset(tmp_path / "bad", **changes)
     with pytest.raises(DatasetError, match=sentence):

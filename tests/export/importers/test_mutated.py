@@ -159,9 +159,7 @@ def _read_or_refused(path: Path) -> None:
             raise
 
 
-def test_mutated_files_end_in_the_readers_process(
-    seeds: dict[str, tuple[Path, Settings]], tmp_path: Path
-) -> None:
+def test_mutated_files_end_in_the_reader(seeds: dict[str, tuple[Path, Settings]], tmp_path: Path) -> None:
     """The same by the process that users' files are read in: a sentence with the file's name, and no canary."""
     rng = random.Random(1)
     canary, scratch = tmp_path / "canary", tmp_path / "model.pkl"

@@ -14,9 +14,7 @@ from calibration.fitting.limits.folds import divide_presses, folds
     st.integers(0, 9),
 )
 @settings(max_examples=100, deadline=None)
-def test_folds_hold_out_every_press_once_and_keep_specimens_whole(
-    specimens: list[str | None], count: int, seed: int
-) -> None:
+def test_folds_partition_presses_and_specimens(specimens: list[str | None], count: int, seed: int) -> None:
     """The folds are a partition; presses of one specimen are never on both sides."""
     parts = folds(specimens, count, np.random.default_rng(seed))
     assert sorted(np.concatenate(parts).tolist()) == list(range(len(specimens)))

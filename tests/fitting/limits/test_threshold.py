@@ -105,9 +105,7 @@ def test_the_promise_holds_for_new_pieces() -> None:
     ("pieces", "alpha", "shape"),
     [(60, 0.05, (3, 58)), (19, 0.05, (1, 19)), (200, 0.1, (20, 181)), (10, 0.05, (1, 10))],
 )
-def test_one_bundles_own_rate_is_that_of_the_beta_distribution(
-    pieces: int, alpha: float, shape: tuple[int, int]
-) -> None:
+def test_one_bundles_own_rate_is_beta_distributed(pieces: int, alpha: float, shape: tuple[int, int]) -> None:
     """The 95 % range against scipy's; Beta(n + 1 - r, r) for the r-th smallest of n scores. Above the largest score,
     which ten pieces need for 5 %, there is an upper limit alone."""
     sides = (0.025, 0.975) if pieces > 10 else (0, 0.95)

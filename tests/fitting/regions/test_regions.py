@@ -153,9 +153,7 @@ def test_a_stricter_region_finds_a_fainter_dent_and_promises_anew(inspected: Jud
     assert gelgate("bundle", "verify", new).code == 0
 
 
-def test_a_factor_that_fails_every_sound_press_is_refused_with_one_that_fails_none(
-    inspected: Judged, tmp_path: Path
-) -> None:
+def test_a_factor_failing_all_is_refused_with_one_failing_none(inspected: Judged, tmp_path: Path) -> None:
     strict = DENT.replace("ignore dent", "stricter seam {}")
     refused = draw(inspected, tmp_path / "new", inspected.nominal, "--add", strict.format(10)).sentence()
     factor = refused.split("every sound press would fail")[1].split("a factor of ")[1].split()[0]
