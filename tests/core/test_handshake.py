@@ -29,25 +29,15 @@ def test_a_handshake_from_the_trigger_to_the_next() -> None:
     assert (bench.seen.press_id, bench.seen.score_ratio) == ("", None)
 
 
-def begun_before(bench: Bench) -> None:
-    bench.begin()
-    bench.trigger(7)
-    bench.judge("pass")
-    bench.record()
-
-
-def touched_before(bench: Bench) -> None:
-    """The gel is touched, and the press is confirmed after the trigger."""
-    bench.look(True)
-    bench.trigger(7)
-    bench.press("pass")
-
-
-def seen_late(bench: Bench) -> None:
-    """The loop is behind: frames from before the trigger are looked at after it."""
-    bench.trigger(7, is_behind=True)
-    bench.press("pass")
-    bench.machine.reach(7)
+STORIES: dict[str, Callable[[Bench], Any]] = {
+    "it began before": lambda b: (b.begin(), b.trigger(7), b.judge("pass"), b.record()),
+    "the gel was touched before": lambda b: (b.look(True), b.trigger(7), b.press("pass")),
+    "seen late": lambda b: (b.trigger(7, is_behind=True), b.press("pass"), b.machine.reach(7)),
+    "not recorded": lambda b: (b.trigger(7), b.begin(), b.judge("pass")),
+    "another one is recorded": lambda b: (b.trigger(7), b.begin(), b.judge("pass"), b.record("P0")),
+    # As with a press that was a master piece's when it began.
+    "without a begin": lambda b: (b.trigger(7), b.judge("pass"), b.record()),
+}
 
 
 def held_back(bench: Bench) -> None:
@@ -61,28 +51,7 @@ def held_back(bench: Bench) -> None:
     bench.record()
 
 
-def not_recorded(bench: Bench) -> None:
-    bench.trigger(7)
-    bench.begin()
-    bench.judge("pass")
-
-
-def other_is_recorded(bench: Bench) -> None:
-    not_recorded(bench)
-    bench.record("P0")
-
-
-def without_a_begin(bench: Bench) -> None:
-    """As with a press that was a master piece's when it began."""
-    bench.trigger(7)
-    bench.judge("pass")
-    bench.record()
-
-
-@pytest.mark.parametrize(
-    "given",
-    [begun_before, touched_before, seen_late, held_back, not_recorded, other_is_recorded, without_a_begin],
-)
+@pytest.mark.parametrize("given", [*STORIES.values(), held_back], ids=[*STORIES, "held back"])
 def test_what_does_not_answer_a_trigger(given: Callable[[Bench], None]) -> None:
     """It stays busy, and ends as an error in time."""
     bench = Bench()
@@ -97,7 +66,7 @@ def test_what_does_not_answer_a_trigger(given: Callable[[Bench], None]) -> None:
 def test_the_next_press_answers_where_one_had_begun() -> None:
     """The gel has been free since the trigger."""
     bench = Bench()
-    begun_before(bench)
+    STORIES["it began before"](bench)
     bench.lift()
     bench.press("fail", "P2")
     assert (bench.result, bench.seen.press_id) == (("done", 7, "fail", Code.NONE), "P2")
@@ -178,43 +147,21 @@ def test_the_verdict_of_another_part_is_an_error() -> None:
     assert bench.result == ("done", 8, "pass", Code.NONE)
 
 
-def busy(bench: Bench) -> Code:
-    bench.trigger(7)
-    return bench.trigger(8)
-
-
-def not_acknowledged(bench: Bench) -> Code:
-    bench.trigger(7)
-    bench.press("fail")
-    return bench.trigger(8)
-
-
-def twice(bench: Bench) -> Code:
-    bench.trigger(7)
-    bench.machine.acknowledge(bench.now_ns)
-    return bench.trigger(7)
-
-
-def halted(bench: Bench) -> Code:
-    bench.show("halted")
-    return bench.trigger(7)
-
-
 @pytest.mark.parametrize(
     ("given", "code"),
     [
-        (busy, Code.BUSY),
-        (not_acknowledged, Code.NOT_ACKNOWLEDGED),
-        (twice, Code.ID_TWICE),
-        (halted, Code.NOT_READY),
-        (lambda bench: bench.trigger(0), Code.BAD_VALUE),
-        (lambda bench: bench.trigger(2**32), Code.BAD_VALUE),
+        (lambda b: (b.trigger(7), b.trigger(8)), Code.BUSY),
+        (lambda b: (b.trigger(7), b.press("fail"), b.trigger(8)), Code.NOT_ACKNOWLEDGED),
+        (lambda b: (b.trigger(7), b.machine.acknowledge(b.now_ns), b.trigger(7)), Code.ID_TWICE),
+        (lambda b: (b.show("halted"), b.trigger(7)), Code.NOT_READY),
+        (lambda b: (b.trigger(0),), Code.BAD_VALUE),
+        (lambda b: (b.trigger(2**32),), Code.BAD_VALUE),
     ],
 )
-def test_a_trigger_that_is_refused(given: Callable[[Bench], Code], code: Code) -> None:
+def test_a_trigger_that_is_refused(given: Callable[[Bench], Any], code: Code) -> None:
     """With its code, which stays until one is taken; what was busy or done stays that."""
     bench = Bench()
-    assert given(bench) is code
+    assert given(bench)[-1] is code
     assert bench.seen.refused is code
     bench.show("ready")
     bench.machine.acknowledge(bench.now_ns)

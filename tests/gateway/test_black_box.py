@@ -121,39 +121,36 @@ def test_a_wrong_call_is_one_sentence(made: Played, words: list[str], expected: 
     assert expected in done.sentence()
 
 
-def lose_the_frame(copy: Played) -> None:
-    (copy.objects / copy.record(1).frame).unlink()
-
-
-def damage_the_frame(copy: Played) -> None:
-    path = copy.objects / copy.record(1).frame
-    path.write_bytes(path.read_bytes()[:-1] + b"x")
-
-
 def put_a_pipe(path: Path) -> None:
     path.unlink()
     os.mkfifo(path)
 
 
-def change_the_record(copy: Played) -> None:
-    path = copy.archive / "presses" / f"{copy.ids[1]}.json"
-    path.write_text(path.read_text(encoding="utf-8").replace('"fail"', '"pass"'), encoding="utf-8")
+def change(path: Path, old: bytes, new: bytes) -> None:
+    path.write_bytes(path.read_bytes().replace(old, new))
 
 
 @pytest.mark.parametrize(
-    ("damage", "words"),
+    ("part", "damage", "words"),
     [
-        (lose_the_frame, "the judged frame of press {id} is gone"),
-        (damage_the_frame, "the judged frame of press {id} is damaged"),
-        (damage_the_frame, "has another SHA-256 than its name"),
-        (lambda copy: put_a_pipe(copy.objects / copy.record(1).frame), "is a named pipe; take the file"),
-        (lambda copy: put_a_pipe(copy.archive / f"presses/{copy.ids[1]}.json"), "is a named pipe; take the"),
-        (change_the_record, "is not what the ledger says of press {id}"),
+        ("frame", Path.unlink, "the judged frame of press {id} is gone"),
+        ("frame", lambda path: change(path, b"\xff\xd9", b"x"), "the judged frame of press {id} is damaged"),
+        ("frame", lambda path: change(path, b"\xff\xd9", b"x"), "has another SHA-256 than its name"),
+        ("frame", put_a_pipe, "is a named pipe; take the file"),
+        ("record", put_a_pipe, "is a named pipe; take the file"),
+        (
+            "record",
+            lambda path: change(path, b'"fail"', b'"pass"'),
+            "is not what the ledger says of press {id}",
+        ),
     ],
 )
-def test_what_is_not_as_kept_is_named(copy: Played, damage: Callable[[Played], None], words: str) -> None:
+def test_what_is_not_as_kept_is_named(
+    copy: Played, part: str, damage: Callable[[Path], None], words: str
+) -> None:
     """Nothing waits for a pipe, and with several presses the others are made again."""
-    damage(copy)
+    frame, record = copy.objects / copy.record(1).frame, copy.archive / f"presses/{copy.ids[1]}.json"
+    damage({"frame": frame, "record": record}[part])
     done, every = copy.replay(copy.ids[1]), copy.replay("--all")
 
     assert (done.code, every.code) == (1, 1)
@@ -191,7 +188,8 @@ def test_the_evidence_is_in_the_chain(copy: Played) -> None:
 
 
 def test_a_bundle_that_is_gone_is_named(copy: Played, tmp_path: Path, bundle: Path) -> None:
-    """With its hash, part and where was looked; --bundles names the folder where old ones are kept."""
+    """With its hash, part and where was looked; --bundles names the folder where old ones are kept. A shadow that had
+    judged it is in the configuration as it was."""
     other = variant(bundle, tmp_path / "other", revision=9)
     text = copy.config.read_text(encoding="utf-8").replace(str(bundle), str(other))
     copy.config.write_text(text, encoding="utf-8")
@@ -201,12 +199,6 @@ def test_a_bundle_that_is_gone_is_named(copy: Played, tmp_path: Path, bundle: Pa
     assert f"the bundle of press {copy.ids[1]} is not there: {copy.record(1).bundle_id} (PZ0/pos1" in gone.err
     assert str(other) in gone.err
     assert copy.replay(copy.ids[1], "--bundles", str(bundle.parent)).code == 0
-
-
-def test_a_press_that_a_shadow_judged_is_made_again(copy: Played, tmp_path: Path, bundle: Path) -> None:
-    """It had taken over, and is in the configuration as it was."""
-    other = variant(bundle, tmp_path / "other", revision=9)
-    text = copy.config.read_text(encoding="utf-8").replace(str(bundle), str(other))
     shadows = f'[inspection]\nshadows = ["{bundle}"]'
     copy.config.write_text(text.replace("[inspection]", shadows, 1), encoding="utf-8")
     assert copy.replay(copy.ids[1]).code == 0
@@ -296,15 +288,6 @@ def test_a_press_that_is_larger_than_the_archive_is_kept(tmp_path: Path, made: P
     for press_id in made.ids[:2]:
         archive.keep(press.model_copy(update={"press_id": press_id}), {press.frame: b"frame"})
         assert list_presses(tmp_path / "small") == [press_id]
-
-
-def test_the_newest_presses_are_kept_up_to_their_number(tmp_path: Path, made: Played) -> None:
-    """Two of three, and not one fewer."""
-    press, archive = made.record(0), PressArchive(tmp_path / "small", 2, 1 << 20)
-    for press_id in made.ids[:3]:
-        archive.keep(press.model_copy(update={"press_id": press_id}), {press.frame: b"frame"})
-
-    assert list_presses(tmp_path / "small") == sorted(made.ids[1:3])  # of one moment, in no order
 
 
 def test_the_newest_presses_are_kept_after_a_clock_set_back(configure: Configure, tmp_path: Path) -> None:

@@ -128,44 +128,22 @@ def test_alarms_have_their_bits(served: Served) -> None:
     assert set(named) <= set(ALARMS)
 
 
-def busy(plc: Plc, served: Served) -> int:
-    plc.trigger(1)
-    return plc.trigger(2)
-
-
-def twice(plc: Plc, served: Served) -> int:
-    plc.trigger(1)
-    plc.write(ACKNOWLEDGE, True)
-    return plc.trigger(1)
-
-
-def not_acknowledged(plc: Plc, served: Served) -> int:
-    plc.trigger(1)
-    served.bench.press("pass")
-    return plc.trigger(2)
-
-
-def halted(plc: Plc, served: Served) -> int:
-    served.bench.show("halted")
-    return plc.trigger(1)
-
-
 @pytest.mark.parametrize(
     ("given", "exception", "code"),
     [
-        (busy, 6, Code.BUSY),
-        (not_acknowledged, 6, Code.NOT_ACKNOWLEDGED),
-        (twice, 3, Code.ID_TWICE),
-        (halted, 4, Code.NOT_READY),
-        (lambda plc, served: plc.trigger(0), 3, Code.BAD_VALUE),
-        (lambda plc, served: plc.trigger(1, "ä"), 3, Code.BAD_VALUE),
+        (lambda plc, bench: (plc.trigger(1), plc.trigger(2)), 6, Code.BUSY),
+        (lambda plc, bench: (plc.trigger(1), bench.press("pass"), plc.trigger(2)), 6, Code.NOT_ACKNOWLEDGED),
+        (lambda plc, bench: (plc.trigger(1), plc.write(ACKNOWLEDGE, True), plc.trigger(1)), 3, Code.ID_TWICE),
+        (lambda plc, bench: (bench.show("halted"), plc.trigger(1)), 4, Code.NOT_READY),
+        (lambda plc, bench: (plc.trigger(0),), 3, Code.BAD_VALUE),
+        (lambda plc, bench: (plc.trigger(1, "ä"),), 3, Code.BAD_VALUE),
     ],
 )
 def test_a_trigger_that_is_refused(
-    served: Served, given: Callable[[Plc, Served], int], exception: int, code: Code
+    served: Served, given: Callable[[Plc, Bench], Any], exception: int, code: Code
 ) -> None:
     plc = served.client()
-    assert given(plc, served) == exception
+    assert given(plc, served.bench)[-1] == exception
     assert plc.words[REFUSAL] == code
 
 

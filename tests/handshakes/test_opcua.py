@@ -110,43 +110,29 @@ def test_the_states_of_the_station(served: Served, plc: OpcUaPlc, state: Any, wo
     assert seen["ErrorCode"] == (0 if word == "Operational" else Code.HALTED)
 
 
-def busy(plc: OpcUaPlc, served: Served) -> str:
-    plc.start_job(1)
-    return plc.start_job(2)
-
-
-def not_acknowledged(plc: OpcUaPlc, served: Served) -> str:
-    plc.start_job(1)
-    served.bench.press("fail")
-    return plc.start_job(2)
-
-
-def twice(plc: OpcUaPlc, served: Served) -> str:
-    plc.start_job(1)
-    plc.call(f"{JOBS}/Abort")
-    return plc.start_job(1)
-
-
-def halted(plc: OpcUaPlc, served: Served) -> str:
-    served.bench.show("halted")
-    return plc.start_job(1)
-
-
 @pytest.mark.parametrize(
     ("given", "status", "code"),
     [
-        (busy, "BadInvalidState", Code.BUSY),
-        (not_acknowledged, "BadInvalidState", Code.NOT_ACKNOWLEDGED),
-        (twice, "BadEntryExists", Code.ID_TWICE),
-        (halted, "BadResourceUnavailable", Code.NOT_READY),
-        (lambda plc, served: plc.start_job(0), "BadInvalidArgument", Code.BAD_VALUE),
-        (lambda plc, served: plc.start_job(1, "ä"), "BadInvalidArgument", Code.BAD_VALUE),
+        (lambda p, bench: (p.start_job(1), p.start_job(2)), "BadInvalidState", Code.BUSY),
+        (
+            lambda p, bench: (p.start_job(1), bench.press("fail"), p.start_job(2)),
+            "BadInvalidState",
+            Code.NOT_ACKNOWLEDGED,
+        ),
+        (
+            lambda p, bench: (p.start_job(1), p.call(f"{JOBS}/Abort"), p.start_job(1)),
+            "BadEntryExists",
+            Code.ID_TWICE,
+        ),
+        (lambda p, bench: (bench.show("halted"), p.start_job(1)), "BadResourceUnavailable", Code.NOT_READY),
+        (lambda p, bench: (p.start_job(0),), "BadInvalidArgument", Code.BAD_VALUE),
+        (lambda p, bench: (p.start_job(1, "ä"),), "BadInvalidArgument", Code.BAD_VALUE),
     ],
 )
 def test_a_job_that_is_refused(
-    served: Served, plc: OpcUaPlc, given: Callable[[OpcUaPlc, Served], str], status: str, code: Code
+    served: Served, plc: OpcUaPlc, given: Callable[[OpcUaPlc, Bench], Any], status: str, code: Code
 ) -> None:
-    assert given(plc, served) == status
+    assert given(plc, served.bench)[-1] == status
     assert plc.read()["RefusalCode"] == code
 
 
