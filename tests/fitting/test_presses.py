@@ -221,16 +221,24 @@ def test_a_pattern_chooses_files_in_folders_below(tmp_path: Path) -> None:
     assert len(everything) == 6
 
 
-def test_the_free_gel_is_known_without_a_picture_of_it(tmp_path: Path) -> None:
-    """Estimated from four presses of one place or of any; a picture of another light is replaced, and both are said."""
+@pytest.fixture
+def good(tmp_path: Path) -> Path:
+    """Four presses beside each other."""
     for k in range(4):
         write(tmp_path / "good", f"{k}.png", gel(k, (50 + 15 * k, 60)))
+    return tmp_path / "good"
+
+
+def test_the_free_gel_is_known_without_a_picture_of_it(good: Path, tmp_path: Path) -> None:
+    """Estimated from four presses of one place or of any; a picture of another light is replaced, and both are said.
+    An estimate may have part of what touches: by it methods learn every place."""
     write(tmp_path / "other", "free.png", other_light(gel(9)))
     write(tmp_path / "own", "free.png", gel(9))
     none, wrong, right = (
-        read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / name for name in names])
+        read_presses([good], PROFILE, REGION, no_contact=[tmp_path / name for name in names])
         for names in ([], ["other"], ["own"])
     )
+    assert (none.estimated != "", none.touched) == (True, None)
     assert [touch.x * 160 for touch in none.touches] == pytest.approx([50, 65, 80, 95], abs=2)
     assert none.touches == wrong.touches
     assert none.faults == right.faults == ()
@@ -238,7 +246,7 @@ def test_the_free_gel_is_known_without_a_picture_of_it(tmp_path: Path) -> None:
     assert "differs by" in wrong.faults[0]
     assert "take one under the light of the presses" in wrong.faults[0]
     assert right.facts == {}
-    few = read_presses([tmp_path / "good" / f"{k}.png" for k in range(3)], PROFILE, REGION)
+    few = read_presses([good / f"{k}.png" for k in range(3)], PROFILE, REGION)
     assert few.no_contact is None
 
 
@@ -285,15 +293,6 @@ def test_a_gently_curved_part_at_one_place_is_no_other_light(tmp_path: Path) -> 
     assert "it may hold the part: no contact is known by it" in guessed.faults[0]
 
 
-def test_by_an_estimate_no_place_is_left_out(tmp_path: Path) -> None:
-    """It may have part of what touches: methods learn every place."""
-    for k in range(4):
-        write(tmp_path / "good", f"{k}.png", gel(k, (50 + 15 * k, 60)))
-    presses = read_presses([tmp_path / "good"], PROFILE, REGION)
-    assert presses.estimated
-    assert presses.touched is None
-
-
 def test_contacts_by_a_gel_in_doubt_are_kept_for_a_warning(tmp_path: Path) -> None:
     """Balls anywhere on a marker gel: their places are guessed, and known to nothing else."""
     rows, columns = np.mgrid[:120, :160]
@@ -309,25 +308,18 @@ def test_contacts_by_a_gel_in_doubt_are_kept_for_a_warning(tmp_path: Path) -> No
     assert [touch.x * 160 for touch in presses.guessed] == pytest.approx([30, 50, 70, 90, 110, 130], abs=8)
 
 
-def test_one_foreign_picture_among_right_ones_is_left_out(tmp_path: Path) -> None:
-    for k in range(4):
-        write(tmp_path / "good", f"{k}.png", gel(k, (50 + 15 * k, 60)))
+def test_foreign_pictures_of_the_free_gel_are_named(good: Path, tmp_path: Path) -> None:
+    """One among right ones is left out; of several it is said how the first differs."""
     write(tmp_path / "free", "a.png", other_light(gel(9)))
     write(tmp_path / "free", "b.png", gel(8))
-    presses = read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / "free"])
+    presses = read_presses([good], PROFILE, REGION, no_contact=[tmp_path / "free"])
     (said,) = presses.faults
     assert said.startswith("1 of 2 pictures of the free gel ('free/a.png') differs by")
     assert said.endswith("left out")
     assert presses.no_contact is not None
     assert len(presses.no_contact) == 1
-
-
-def test_several_foreign_pictures_are_named_with_how_the_first_differs(tmp_path: Path) -> None:
-    for k in range(4):
-        write(tmp_path / "good", f"{k}.png", gel(k, (50 + 15 * k, 60)))
-    for name in ("a.png", "b.png"):
-        write(tmp_path / "free", name, other_light(gel(9)))
-    (said,) = read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / "free"]).faults
+    write(tmp_path / "free", "b.png", other_light(gel(9)))
+    (said,) = read_presses([good], PROFILE, REGION, no_contact=[tmp_path / "free"]).faults
     assert "2 of 2 pictures of the free gel ('free/a.png', 'free/b.png'): the first differs by" in said
 
 

@@ -119,16 +119,13 @@ def test_a_picture_is_queued_once(store: Store, path: Path) -> None:
     assert [topic for topic, _ in outbox(path)] == ["result", f"heatmap/{IDS[0]}"]
 
 
-def lose_nothing(folder: Path) -> None: ...
+def refuse(*_: object) -> None:
+    raise StoreError("database or disk is full")
 
 
 def lose_the_frames(folder: Path) -> None:
     for damaged in (folder / "gelgate.archive" / "objects").iterdir():
         damaged.write_bytes(b"")
-
-
-def lose_the_archive(folder: Path) -> None:
-    shutil.rmtree(folder / "gelgate.archive")
 
 
 def lose_the_bundle(folder: Path) -> None:
@@ -141,9 +138,9 @@ def lose_the_bundle(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("lose", "words"),
     [
-        (lose_nothing, "was not drawn before the last stop"),
+        (lambda folder: None, "was not drawn before the last stop"),
         (lose_the_frames, "cannot be drawn: the judged frame of press .* is damaged"),
-        (lose_the_archive, "cannot be drawn: press .* is gone"),
+        (lambda folder: shutil.rmtree(folder / "gelgate.archive"), "cannot be drawn: press .* is gone"),
         (lose_the_bundle, "cannot be drawn: the bundle .* that judged press .* is not open any more"),
     ],
 )
@@ -201,9 +198,6 @@ def test_a_full_disk_delays_the_picture(store: Store, path: Path, monkeypatch: p
     pictures, queue = Pictures(store, lambda: None), store.queue_picture
     record(store, pictures, 0)
 
-    def refuse(*_: object) -> None:
-        raise StoreError("database or disk is full")
-
     monkeypatch.setattr(store, "queue_picture", refuse)
     pictures.step()
     assert outbox(path) == [("result", b"")]
@@ -238,9 +232,6 @@ def test_presses_waiting_for_the_store_hold_no_arrays(config: Path, monkeypatch:
 def test_refused_pictures_wait_drawn(store: Store, monkeypatch: pytest.MonkeyPatch, path: Path) -> None:
     """As many as presses that wait for a store: each is drawn once, and none is lost when there is room again."""
     pictures, queue, drawn = Pictures(store, lambda: None), store.queue_picture, list[int]()
-
-    def refuse(*_: object) -> None:
-        raise StoreError("database or disk is full")
 
     monkeypatch.setattr(store, "queue_picture", refuse)
     for n in range(MOST_PRESSES_WAITING):

@@ -30,8 +30,11 @@ from edge.store.gel_ledger import GelRecord
 
 
 def install(monkeypatch: pytest.MonkeyPatch, lamp: str) -> None:
-    """Install a package that brings a feature."""
-    points = registry._points
+    """Install a package that brings a feature, also of this module, which pytest keeps out of sys.modules."""
+    points, load = registry._points, EntryPoint.load
+    monkeypatch.setattr(
+        EntryPoint, "load", lambda one: globals()[one.attr] if one.module == __name__ else load(one)
+    )
     ours = {**points("features"), "lamp": [EntryPoint("lamp", lamp, "gelgate.features")]}
     monkeypatch.setattr(registry, "_points", lambda group: ours if group == "features" else points(group))
 
@@ -87,7 +90,6 @@ class SecondGel(PressStage):
 def test_a_feature_that_cannot_be_tried_hides_no_other(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its fault is a finding under its name, and the pedal behind it is tried."""
     install(monkeypatch, f"{__name__}:Unprepared")
-    monkeypatch.setattr(EntryPoint, "load", _load_from_here(EntryPoint.load))
     station = load_config(config).model_copy(update={"triggers": [TriggerTable(plugin="virtual_hid")]})
     with preflight(station, SystemClock(), is_start=False) as checked:
         found = {one.part: one.text for one in checked.findings}
@@ -99,7 +101,6 @@ def test_a_feature_that_cannot_be_tried_hides_no_other(config: Path, monkeypatch
 def test_a_request_is_served_by_one(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A feature of another package cannot take the request by which a gel is counted anew."""
     install(monkeypatch, f"{__name__}:SecondGel")
-    monkeypatch.setattr(EntryPoint, "load", _load_from_here(EntryPoint.load))
 
     with pytest.raises(ConfigError, match="the request 'replace_gel' is served twice"):
         station_commands(load_config(config))
@@ -141,7 +142,6 @@ class Lamp(PressStage):
 def test_a_feature_brings_its_alarms(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They are cleared at the start, shown with what to do, measured, and acknowledged as gelgate's own."""
     install(monkeypatch, f"{__name__}:Lamp")
-    monkeypatch.setattr(EntryPoint, "load", _load_from_here(EntryPoint.load))
     with SteppedStation(config) as station:
         cleared = {message.topic for message in RetainedState().all() if not message.payload}
         assert {"alarm/lamp_lost", "alarm/lamp_dim", "alarm/gel"} <= cleared
@@ -171,7 +171,6 @@ class Talkative(PressStage):
 def test_a_feature_speaks_in_result_and_page(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Under its name, beside what gelgate says, which it does not change; the check before a start names it."""
     install(monkeypatch, f"{__name__}:Talkative")
-    monkeypatch.setattr(EntryPoint, "load", _load_from_here(EntryPoint.load))
     with SteppedStation(config) as station:
         station.play()
         assert station.verdicts == ["pass", "fail", "pass"]
@@ -224,11 +223,6 @@ def test_an_installation_without_our_features_says_so(config: Path, monkeypatch:
 
     with pytest.raises(ConfigError, match=r"without its features sensing_watch, .*install it again"):
         load_features(station)
-
-
-def _load_from_here(load: Callable[[EntryPoint], object]) -> Callable[[EntryPoint], object]:
-    """Load what entry points name in this module, which pytest keeps out of sys.modules, and others as before."""
-    return lambda point: globals()[point.attr] if point.module == __name__ else load(point)
 
 
 class Told(PressStage):

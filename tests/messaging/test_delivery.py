@@ -88,26 +88,6 @@ def hears_all_acknowledged(heard: list[Listener], ids: list[str], outbox: Outbox
     heard[-1].wait_for(hears)
 
 
-def test_two_sinks_of_one_gateway_share_a_database(
-    mosquitto: LocalBroker, tmp_path: Path, sink_to: SinkTo, listen: Listen
-) -> None:
-    """Each delivers every press once, and then the outbox is empty."""
-    path = tmp_path / "gelgate.db"
-    listener = listen(mosquitto)
-    sinks = {name: sink_to(mosquitto, client_id=name) for name in ("one", "two")}
-    with Store(path) as store:
-        publisher = Publisher(path, sinks, RetainedState(), SystemClock(), random.Random(1))
-        publisher.start()
-        ids = [record_press(store, n) for n in range(20)]
-        publisher.wake()
-        listener.wait_for(lambda heard: len(heard.payloads("result")) >= 40)
-        publisher.stop(drain_s=60)
-        with Outbox(path) as outbox:
-            assert outbox.status().rows == 0
-
-    assert Counter(json.loads(p)["press_id"] for p in listener.payloads("result")) == dict.fromkeys(ids, 2)
-
-
 def test_a_state_change_and_a_command_pass_while_results_flow(
     mosquitto: LocalBroker, tmp_path: Path, sink_to: SinkTo, listen: Listen
 ) -> None:
