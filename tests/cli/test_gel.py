@@ -145,9 +145,6 @@ def test_what_a_package_says_is_kept_and_shown(database: Path, capsys: pytest.Ca
     ("given", "sentence"),
     [
         ({"use_by": "2026-02-30"}, "no day of the calendar"),
-        ({"use_by": "1/2/2027"}, "not written as YYYY-MM-DD"),
-        ({"gel_serial": "G\x07"}, "control characters"),
-        ({"gel_type": "m" * 65}, "at most 64"),
         ({"gel_serial": "G9"}, "is on sensor OTHER123"),
         ({"gel_id": "G" * 9000}, "at most 64"),
     ],

@@ -93,28 +93,20 @@ class GpioRelaysBench:
         self.kernel.is_plugged_in = False
 
 
-TRIGGERS = {
-    "virtual_hid": VirtualPedalBench,
-    "virtual_hid, with errors": lambda: VirtualPedalBench(silent=False),
-    "gpio": GpioButtonBench,
+BUILT_IN: dict[str, tuple[Any, Callable[[], Any]]] = {
+    "pedal": (TRIGGER_CHECKS, VirtualPedalBench),
+    "pedal, with errors": (TRIGGER_CHECKS, lambda: VirtualPedalBench(silent=False)),
+    "button": (TRIGGER_CHECKS, GpioButtonBench),
+    "board": (ACTUATOR_CHECKS, VirtualRelayBench),
+    "relays": (ACTUATOR_CHECKS, GpioRelaysBench),
 }
-ACTUATORS = {"virtual_hid": VirtualRelayBench, "gpio": GpioRelaysBench}
 
 
-def named(check: Callable[..., None]) -> str:
-    return check.__name__
-
-
-@pytest.mark.parametrize("check", TRIGGER_CHECKS, ids=named)
-@pytest.mark.parametrize("make_bench", TRIGGERS.values(), ids=TRIGGERS)
-def test_a_built_in_trigger_conforms(make_bench: Callable[[], Any], check: Callable[[Any], None]) -> None:
-    check(make_bench())
-
-
-@pytest.mark.parametrize("check", ACTUATOR_CHECKS, ids=named)
-@pytest.mark.parametrize("make_bench", ACTUATORS.values(), ids=ACTUATORS)
-def test_a_built_in_actuator_conforms(make_bench: Callable[[], Any], check: Callable[[Any], None]) -> None:
-    check(make_bench())
+@pytest.mark.parametrize(
+    ("name", "check"), [(name, check) for name, (checks, _) in BUILT_IN.items() for check in checks]
+)
+def test_a_built_in_plugin_conforms(name: str, check: Callable[[Any], None]) -> None:
+    check(BUILT_IN[name][1]())
 
 
 class Wrong:
@@ -162,18 +154,19 @@ ACTUATOR_FAULTS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", [named(check) for check in TRIGGER_CHECKS])
-def test_a_check_of_triggers_can_fail(name: str) -> None:
-    check = next(check for check in TRIGGER_CHECKS if named(check) == name)
+@pytest.mark.parametrize(
+    ("bench", "faults", "check"),
+    [
+        *((VirtualPedalBench, TRIGGER_FAULTS, check) for check in TRIGGER_CHECKS),
+        *((VirtualRelayBench, ACTUATOR_FAULTS, check) for check in ACTUATOR_CHECKS),
+    ],
+)
+def test_a_check_can_fail(
+    bench: Callable[[], Any], faults: dict[str, Any], check: Callable[..., None]
+) -> None:
+    """A device that is wrong in that way."""
     with pytest.raises((AssertionError, GelgateError)):
-        check(Wrong(VirtualPedalBench(), **TRIGGER_FAULTS[name]))
-
-
-@pytest.mark.parametrize("name", [named(check) for check in ACTUATOR_CHECKS])
-def test_a_check_of_actuators_can_fail(name: str) -> None:
-    check = next(check for check in ACTUATOR_CHECKS if named(check) == name)
-    with pytest.raises((AssertionError, GelgateError)):
-        check(Wrong(VirtualRelayBench(), **ACTUATOR_FAULTS[name]))
+        check(Wrong(bench(), **faults[check.__name__]))
 
 
 def test_all_checks_run_in_one_call() -> None:

@@ -58,7 +58,7 @@ def test_normalisation_and_threshold_are_stated_and_compared(ready: Adapted) -> 
     assert names[1:3] == ["normalised pred_score", "normalised anomaly_map"]
 
 
-def test_a_bundle_carries_no_trace_of_the_exporters_machine(tmp_path: Path) -> None:
+def test_a_bundle_carries_no_trace_of_the_exporters_machine() -> None:
     """PyTorch notes files and lines of its run at every node."""
     model = onnx.load(EXPORTED)
     for node in model.graph.node:

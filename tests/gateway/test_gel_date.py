@@ -128,9 +128,6 @@ def test_a_station_says_what_the_package_said(config: Path) -> None:
     ("arguments", "sentence"),
     [
         ({"use_by": "2027-02-29"}, "no day of the calendar"),
-        ({"use_by": "01/31/2027"}, "not written as YYYY-MM-DD"),
-        ({"gel_serial": "G\n7"}, "control characters"),
-        ({"gel_serial": "G" * 65}, "at most 64"),
         ({"gel_serial": "G9"}, "is on sensor OTHER"),
         ({"gel_id": "G" * 65}, "at most 64"),
     ],

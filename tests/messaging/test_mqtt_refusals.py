@@ -196,25 +196,24 @@ def test_options_refuse_nonsense(options: dict[str, Any]) -> None:
         MqttOptions.model_validate(options)
 
 
-def test_a_file_that_is_empty_or_a_pipe_is_a_configuration_fault(tmp_path: Path) -> None:
-    """Without a password the broker would refuse the station, and a pipe would be waited for at every start."""
-    empty, pipe = tmp_path / "empty", tmp_path / "pipe"
+def test_a_file_that_is_empty_absent_or_a_pipe_is_a_configuration_fault(tmp_path: Path) -> None:
+    """When the sink is opened, before anything connects: without a password the broker would refuse the station, and a
+    pipe would be waited for at every start."""
+    empty, pipe, absent = tmp_path / "empty", tmp_path / "pipe", tmp_path / "absent"
     empty.write_text("\n")
     os.mkfifo(pipe)
-    for path, words in (
-        (empty, f"password file {empty} is empty; write the password into it"),
-        (pipe, f"password file {pipe} cannot be read: .*it is a pipe, expected a file"),
+    for options, words in (
+        (
+            {"username": "u", "password_file": empty},
+            f"password file {empty} is empty; write the password into it",
+        ),
+        (
+            {"username": "u", "password_file": pipe},
+            f"file {pipe} cannot be read: .*it is a pipe, expected a file",
+        ),
+        ({"username": "u", "password_file": absent}, f"password file {absent} cannot be read"),
+        ({"tls": {"ca": pipe}}, "cannot be used: one of them is a pipe"),
+        ({"tls": {"ca": absent}}, f"TLS files {absent} cannot be used"),
     ):
         with pytest.raises(ConfigError, match=words):
-            plugin.open(MqttOptions(username="u", password_file=path), Station(ROOT, "x"))
-    with pytest.raises(ConfigError, match="cannot be used: one of them is a pipe"):
-        plugin.open(MqttOptions.model_validate({"tls": {"ca": pipe}}), Station(ROOT, "x"))
-
-
-def test_a_file_that_is_not_there_is_a_configuration_fault(sink_to: SinkTo) -> None:
-    """Password and TLS files are read when the sink is opened, before anything connects."""
-    station = Station(ROOT, "x")
-    with pytest.raises(ConfigError, match="password file /nowhere/p cannot be read"):
-        plugin.open(MqttOptions(username="u", password_file=Path("/nowhere/p")), station)
-    with pytest.raises(ConfigError, match=r"TLS files /nowhere/ca\.pem cannot be used"):
-        plugin.open(MqttOptions.model_validate({"tls": {"ca": "/nowhere/ca.pem"}}), station)
+            plugin.open(MqttOptions.model_validate(options), Station(ROOT, "x"))

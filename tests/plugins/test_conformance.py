@@ -35,8 +35,6 @@ from plugins.conformance import (
     DetectorCase,
     DeviceBench,
     FeatureCase,
-    OverviewBench,
-    SinkBench,
     open_played,
 )
 
@@ -64,20 +62,20 @@ def test_the_built_in_detectors_say_what_lists_of_names_would() -> None:
     assert all(isinstance(one, HasReference) for one in detectors.values())
 
 
-@pytest.mark.parametrize("check", DEVICE_CHECKS, ids=named)
-@pytest.mark.parametrize("make_bench", benches.DEVICES.values(), ids=benches.DEVICES)
-def test_a_built_in_device_conforms(
-    make_bench: benches.Make[DeviceBench], check: Callable[[DeviceBench], None]
-) -> None:
-    with make_bench() as bench:
-        check(bench)
+BUILT_IN = [
+    pytest.param(make_bench, check, id=f"{name}-{check.__name__}")
+    for made, checks in (
+        (benches.DEVICES, DEVICE_CHECKS),
+        (benches.OVERVIEWS, OVERVIEW_CHECKS),
+        (benches.SINKS, SINK_CHECKS),
+    )
+    for name, make_bench in made.items()  # type: ignore[attr-defined]
+    for check in checks
+]
 
 
-@pytest.mark.parametrize("check", OVERVIEW_CHECKS, ids=named)
-@pytest.mark.parametrize("make_bench", benches.OVERVIEWS.values(), ids=list(benches.OVERVIEWS))
-def test_a_built_in_overview_camera_conforms(
-    make_bench: benches.Make[OverviewBench], check: Callable[[OverviewBench], None]
-) -> None:
+@pytest.mark.parametrize(("make_bench", "check"), BUILT_IN)
+def test_a_built_in_plugin_conforms(make_bench: benches.Make[Any], check: Callable[[Any], None]) -> None:
     with make_bench() as bench:
         check(bench)
 
@@ -91,15 +89,6 @@ WITHOUT_DEADLINES = ("check_the_deadline_is_kept", "check_after_the_last_frame")
 )
 def test_the_v4l2_reader_conforms_but_for_deadlines(check: Callable[[DeviceBench], None]) -> None:
     check(benches.V4l2Bench())
-
-
-@pytest.mark.parametrize("check", SINK_CHECKS, ids=named)
-@pytest.mark.parametrize("make_bench", benches.SINKS.values(), ids=benches.SINKS)
-def test_a_built_in_sink_conforms(
-    make_bench: benches.Make[SinkBench], check: Callable[[SinkBench], None]
-) -> None:
-    with make_bench() as bench:
-        check(bench)
 
 
 def test_every_built_in_device_overview_camera_and_sink_has_a_bench() -> None:

@@ -146,7 +146,7 @@ def test_a_change_from_outside_is_named(used: Path, statement: str) -> None:
     assert len(ledger(used)) == 1  # the first one is named
 
 
-def test_a_ledger_written_again_is_found_by_the_head_that_somebody_kept(used: Path, tmp_path: Path) -> None:
+def test_a_ledger_written_again_is_found_by_the_head_that_somebody_kept(used: Path) -> None:
     """Whoever computes every link again makes a sound chain; it has another head."""
     with Store(used) as store:
         held = store.ledger_head()

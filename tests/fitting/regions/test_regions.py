@@ -122,7 +122,7 @@ def test_regions_stay_with_a_bundle_that_is_learnt_again(station: Judged, tmp_pa
     assert gelgate("bundle", "verify", tmp_path / "new").code == 0
 
 
-def test_regions_that_would_lie_elsewhere_are_refused_with_the_way_on(tmp_path: Path) -> None:
+def test_regions_that_would_lie_elsewhere_are_refused_with_the_way_on() -> None:
     """The new fit brings presses to a pose, and the old one had none."""
     new = registered()
     old = replace(new.bundle(), registration=None)
@@ -326,7 +326,7 @@ def test_a_press_that_touches_ignored_places_alone_is_rejected(inspected: Judged
     assert inspect(judging, left).word == "pass"
 
 
-def test_missing_relief_counts_in_ignored_places(tmp_path: Path, other_package: None) -> None:
+def test_missing_relief_counts_in_ignored_places(other_package: None) -> None:
     """A head that checks relief shows its map through a region of weight 0."""
     from calibration.fitting.limits.appended import append
     from edge.core.detector import Bank
