@@ -275,21 +275,21 @@ def test_refusals_push_no_acts_out_of_the_table(bench: Bench, monkeypatch: pytes
     assert [act.outcome for act in bench.store.acts()] == ["refused"] * 3 + ["done"]
 
 
-@pytest.mark.parametrize("field", ["transaction", "by"])
-def test_control_characters_in_a_request_are_refused(bench: Bench, field: str) -> None:
-    """They would be printed on somebody's terminal."""
-    answer = bench.ask("trigger", **{field: "a\x1b[2J"})
-
-    assert answer["status"] == "error"
-    assert bench.done == []
+NUMBERS = (float("nan"), float("inf"))
 
 
-@pytest.mark.parametrize("number", [float("nan"), float("inf")])
-def test_a_number_that_is_no_json_is_refused_unrecorded(bench: Bench, number: float) -> None:
-    """The table of acts could not be read by SQLite any more."""
-    answer = bench.ask("trigger", arguments={"a": [{"b": number}]})
-
-    assert answer["status"] == "error"
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"transaction": "a\x1b[2J"},
+        {"by": "a\x1b[2J"},
+        *({"arguments": {"a": [{"b": one}]}} for one in NUMBERS),
+    ],
+)
+def test_what_no_record_can_hold_is_refused_unrecorded(bench: Bench, asked: dict[str, Any]) -> None:
+    """Control characters would be printed on somebody's terminal; with a number that is no JSON, SQLite could not read
+    the table of acts any more."""
+    assert bench.ask("trigger", **asked)["status"] == "error"
     assert (bench.done, bench.store.acts()) == ([], [])
 
 
