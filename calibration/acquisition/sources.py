@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from calibration.dataset.files import read_rgb
 from calibration.fitting.presses.nominal_presses import (
     is_recording,
-    list_pictures,
     require_light,
     specimen_of,
     why_unread,
 )
 from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
+from calibration.fitting.presses.sources import list_pictures
 from edge import registry
 from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from edge.cli.arguments import plugin_options

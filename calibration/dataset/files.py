@@ -159,4 +159,7 @@ def _read(path: Path, flags: int) -> NDArray[Any]:
 
 
 def _decode(payload: bytes, flags: int) -> NDArray[Any] | None:
-    return cv2.imdecode(np.frombuffer(payload, np.uint8), flags) if payload else None
+    try:
+        return cv2.imdecode(np.frombuffer(payload, np.uint8), flags) if payload else None
+    except cv2.error:  # a size that is claimed and cannot be
+        return None

@@ -111,12 +111,18 @@ def fit(given: FitArguments) -> None:
     presses of one part and position are learnt.
     """
     from calibration.fitting.fit import fit_files
+    from edge.core.errors import FitError
 
     refuse_existing(given.output, given.overwrite)
     presses, config = plan_fit(given)
     how = f"{config.detector.name} ({config.mode}) on {config.trunk.id}"
     typer.echo(f"{write_count(len(presses), 'nominal press')}, {how}, region {config.region}")
-    make(partial(fit_files, presses, config), given.output, given.overwrite)
+    try:
+        make(partial(fit_files, presses, config), given.output, given.overwrite)
+    except FitError:
+        for fault in presses.faults:  # often the reason
+            typer.echo(f"warning: {fault}", err=True)
+        raise
 
 
 def plan_fit(given: FitArguments) -> "tuple[NominalPresses, FitConfig]":
@@ -250,7 +256,12 @@ def make(work: "Callable[..., Fitted]", output: Path, overwrite: bool) -> None:
 def refuse_existing(output: Path, overwrite: bool) -> None:
     """Check before any work that nothing is overwritten, and there is a folder to write in. Errors: ConfigError."""
     from edge.core.errors import ConfigError
+    from edge.model.archive import MANIFEST
 
+    if os.path.isdir(output) and os.listdir(output) and not os.path.isfile(output / MANIFEST):
+        raise ConfigError(
+            f"{output} is a folder that holds no bundle, and is not replaced; choose another name"
+        )
     if os.path.exists(output) and not overwrite:
         raise ConfigError(f"{output} exists already; choose another name or add --overwrite")
     above = next(folder for folder in output.absolute().parents if os.path.exists(folder))

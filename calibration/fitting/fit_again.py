@@ -10,10 +10,9 @@ from calibration.fitting.fit_config import SETTINGS, FitConfig
 from calibration.fitting.presses.nominal_presses import (
     NominalPresses,
     is_recording,
-    list_pictures,
     read_presses,
 )
-from calibration.fitting.presses.sources import check_present, find_sources
+from calibration.fitting.presses.sources import check_present, find_sources, list_pictures
 from calibration.fitting.trunks import open_trunk
 from edge import registry
 from edge.core.errors import FitError

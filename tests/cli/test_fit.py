@@ -11,7 +11,7 @@ from typer.main import get_command
 from typer.testing import CliRunner, Result
 
 from edge import cli, registry
-from edge.core.errors import ConfigError, GelgateError
+from edge.core.errors import ConfigError, FitError, GelgateError
 from edge.model.bundle import Bundle
 
 
@@ -159,3 +159,11 @@ def test_the_help_shows_twelve_options_and_set_gives_the_rest(pictures: Path, tm
         for field in vars(registry.detector(name).parameters("paper"))
         if field != "mode"
     }
+
+
+def test_a_fit_that_is_refused_says_what_is_wrong_with_its_presses(pictures: Path, tmp_path: Path) -> None:
+    """Often it is the reason."""
+    result = fit(pictures, tmp_path / "bolt", "--set", "register=always")
+
+    assert isinstance(result.exception, FitError)
+    assert "warning: the free gel is estimated from 6 presses" in result.output

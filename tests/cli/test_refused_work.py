@@ -2,6 +2,7 @@
 
 import errno
 import os
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -48,6 +49,34 @@ def fit_unreadable(bench: Bench) -> list[object]:
     (bench.folder / "torn/b.png").write_bytes(content[: len(content) // 2])
     (bench.folder / "torn/c.jpg").write_bytes(b"a letter")
     return fit("torn")
+
+
+def fit_link_to_nothing(bench: Bench) -> list[object]:
+    picture(bench.folder / "linked/a.png", 320, 240)
+    (bench.folder / "linked/b.png").symlink_to("/nowhere/b.png")
+    (bench.folder / "linked/c.webp").write_bytes(b"RIFF")
+    (bench.folder / "linked/notes.txt").write_text("dear reader")
+    return fit("linked")
+
+
+def fit_over_own_pictures(bench: Bench) -> list[object]:
+    picture(bench.folder / "own/a.png", 320, 240)
+    return [*fit("own"), "-o", "own", "--overwrite"]
+
+
+def fit_free_gel_alone(bench: Bench) -> list[object]:
+    picture(bench.folder / "same/a.png", 320, 240)
+    return fit("same", "--no-contact", "same")
+
+
+def fit_huge(bench: Bench) -> list[object]:
+    """The head of a BMP file that claims 60,000 pixels a side."""
+    (bench.folder / "huge").mkdir()
+    sizes = struct.pack("<IiiHHIIiiII", 40, 60_000, 60_000, 1, 24, 0, 0, 0, 0, 0, 0)
+    (bench.folder / "huge/a.bmp").write_bytes(
+        b"BM" + struct.pack("<IHHI", 1000, 0, 0, 54) + sizes + bytes(946)
+    )
+    return fit("huge")
 
 
 def fit(source: str, *more: object) -> list[object]:
@@ -115,6 +144,16 @@ REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]]
     "fit from unreadable pictures": (
         fit_unreadable, 3, ("2 of 3 pictures", "b.png: ends early", "c.jpg: is not a picture"),
     ),
+    "fit from a folder that is not all pictures": (
+        fit_link_to_nothing, 3, ("linked holds what cannot be read as a picture (b.png, c.webp)", "a link to nothing"),
+    ),
+    "fit over its own pictures": (
+        fit_over_own_pictures, 3, ("own is a folder that holds no bundle, and is not replaced; choose another name",),
+    ),
+    "fit from the pictures of the free gel alone": (
+        fit_free_gel_alone, 3, ("every picture of the presses is given as one of the free gel too",),
+    ),
+    "fit from a picture that claims to be huge": (fit_huge, 3, ("a.bmp: is not a picture that can be decoded",)),
     "fit over a bundle": (
         lambda _: ["fit", "presses", "-o", "bundle", "--part", "x"], 3, ("bundle exists already", "--overwrite"),
     ),

@@ -67,10 +67,13 @@ def test_a_gel_that_bends_beside_parts_holds_none_of_them() -> None:
 
 
 def test_another_light_is_noticed() -> None:
-    """Another exposure is no other light; one side of it in another colour is."""
+    """Another exposure is no other light; one side of it in another colour is, and all of it in one that a station
+    would take for its lamp's own change."""
     found = estimate_free_gel(presses(ANYWHERE), MM)
     assert found.find_foreign(picture(light())) == found.find_foreign(picture(0.8 * light())) == ""
+    assert found.find_foreign(picture(light() * [0.98, 1, 1.02])) == ""
     assert "another light, gel or sensor" in found.find_foreign(picture(light(tilt=40)))
+    assert "in a colour: another light" in found.find_foreign(picture(light() * [0.9, 1, 1.1]))
 
 
 def test_the_dots_of_a_marker_gel_have_their_free_places() -> None:

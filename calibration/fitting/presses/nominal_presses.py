@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.dataset.files import SUFFIXES, read_rgb
+from calibration.dataset.files import read_rgb
 from calibration.dataset.press import numbered
 from calibration.fitting.presses.free_gel import measure_strengths, view_of
 from calibration.fitting.presses.gel_choice import MIN_PRESSES, choose_free_gel, contact_finder
 from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
-from calibration.fitting.presses.sources import check_present
+from calibration.fitting.presses.sources import list_pictures
 from calibration.fitting.presses.strangers import find_odd, find_pieces, small_view
 from edge.core.contact.mask import Touch, touched
 from edge.core.contact.press_detector import PressDetector
@@ -30,14 +30,12 @@ from edge.core.imaging.region import Region, touched_in
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.suggest import suggestion
 from edge.recording.format import HEADER, Recording
-from edge.recording.from_images import images_in
 
 __all__ = [
     "MIN_PRESSES",
     "NominalPresses",
     "gather_presses",
     "is_recording",
-    "list_pictures",
     "read_presses",
     "require_light",
     "specimen_of",
@@ -224,7 +222,12 @@ def read_presses(
         if is_recording(source):
             _read_recording(source, gathered)
     files = list_pictures([source for source in sources if not is_recording(source)], pattern)
-    files = [path for path in files if not any(path.samefile(one) for one in free_files)]
+    given_twice = [path for path in files if any(path.samefile(one) for one in free_files)]
+    if files and given_twice == files:
+        raise FitError(
+            "every picture of the presses is given as one of the free gel too; leave them out of one"
+        )
+    files = [path for path in files if path not in given_twice]
     pictures = _pictures(files, profile, resize)
     names = [f"{path.parent.name}/{path.name}" for path, _ in pictures]
     kept = [k for k, name in enumerate(names) if name not in gathered.unwanted]
@@ -311,42 +314,6 @@ def why_unread(folder: Path, detector: PressDetector) -> str:
     if detector.first_fault is None:
         return f"{folder} has no frames"
     return f"all {detector.corrupt} frames of {folder} were refused; the first: {detector.first_fault}"
-
-
-def list_pictures(sources: Sequence[Path], pattern: str | None = None) -> list[Path]:
-    """List picture files, and those directly inside folders (or that match the pattern), in order of their names."""
-    check_present(sources)
-    files: list[Path] = []
-    for source in sources:
-        if source.is_dir() and pattern is not None:
-            files += images_in(source, pattern)
-        elif source.is_dir():
-            found = sorted(p for p in source.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
-            _refuse_strays(source, found)
-            if not found:
-                raise FitError(
-                    f"{source} is neither a recording nor a folder with pictures ({', '.join(SUFFIXES)}) "
-                    "directly inside; name the folder that holds them"
-                )
-            files += found
-        else:
-            files.append(source)
-    for file in files:
-        if not f"{file.parent.name}/{file.name}".isprintable():  # a manifest and sentences name it so
-            raise FitError(f"the name {str(file)!a} cannot be printed; rename the file, and its folder")
-    return files
-
-
-def _refuse_strays(folder: Path, found: Sequence[Path]) -> None:
-    """Refuse one picture next to folders of pictures: it is a free gel or a plot. Errors: FitError."""
-    below = (
-        sum(1 for path in folder.rglob("*/*") if path.suffix.lower() in SUFFIXES) if len(found) == 1 else 0
-    )
-    if below > 1:
-        raise FitError(
-            f"{folder} has one picture directly inside, {found[0].name}, and {below} in folders below; choose with "
-            "--pattern, such as --pattern '*/press.png', and give a picture of the free gel with --no-contact"
-        )
 
 
 def _pictures(

@@ -12,11 +12,16 @@ from calibration.dataset import (
     resolution_of,
     split_by_specimen,
 )
+from calibration.dataset.files import SUFFIXES
 from edge.core.errors import ConfigError, DatasetError, FitError
+from edge.recording.from_images import images_in
 
-__all__ = ["Sources", "check_present", "find_sources", "is_dataset"]
+__all__ = ["Sources", "check_present", "find_sources", "is_dataset", "list_pictures"]
 
 DEFAULT_POSITION = "default"
+
+# Files that a person takes for pictures too.
+_UNREAD_SUFFIXES = (".webp", ".gif", ".heic", ".heif", ".avif", ".jp2", ".npy", ".raw")
 
 
 @dataclass(frozen=True)
@@ -103,3 +108,45 @@ def _the_one(datasets: Sequence[Dataset], part: str | None, position: str | None
     assert part is not None
     assert position is not None
     return part, position
+
+
+def list_pictures(sources: Sequence[Path], pattern: str | None = None) -> list[Path]:
+    """List picture files, and those directly inside folders (or that match the pattern), in order of their names."""
+    check_present(sources)
+    files: list[Path] = []
+    for source in sources:
+        if source.is_dir() and pattern is not None:
+            files += images_in(source, pattern)
+        elif source.is_dir():
+            named = sorted(p for p in source.iterdir() if p.suffix.lower() in (*SUFFIXES, *_UNREAD_SUFFIXES))
+            found = [p for p in named if p.suffix.lower() in SUFFIXES and p.is_file()]
+            _refuse_strays(source, found)
+            if unread := [p.name for p in named if p not in found]:
+                raise FitError(
+                    f"{source} holds what cannot be read as a picture ({', '.join(unread[:8])}): a link to nothing, a "
+                    f"folder, or a format other than {', '.join(SUFFIXES)}; save it as one, or move it away"
+                )
+            if not found:
+                raise FitError(
+                    f"{source} is neither a recording nor a folder with pictures ({', '.join(SUFFIXES)}) "
+                    "directly inside; name the folder that holds them"
+                )
+            files += found
+        else:
+            files.append(source)
+    for file in files:
+        if not f"{file.parent.name}/{file.name}".isprintable():  # a manifest and sentences name it so
+            raise FitError(f"the name {str(file)!a} cannot be printed; rename the file, and its folder")
+    return files
+
+
+def _refuse_strays(folder: Path, found: Sequence[Path]) -> None:
+    """Refuse one picture next to folders of pictures: it is a free gel or a plot. Errors: FitError."""
+    below = (
+        sum(1 for path in folder.rglob("*/*") if path.suffix.lower() in SUFFIXES) if len(found) == 1 else 0
+    )
+    if below > 1:
+        raise FitError(
+            f"{folder} has one picture directly inside, {found[0].name}, and {below} in folders below; choose with "
+            "--pattern, such as --pattern '*/press.png', and give a picture of the free gel with --no-contact"
+        )
