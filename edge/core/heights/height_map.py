@@ -10,10 +10,16 @@ from numpy.typing import NDArray
 from edge.core.contact.reference import fit_levels
 from edge.core.errors import HeightError
 from edge.core.heights.calibration import SIZE, HeightCalibration, place_powers
-from edge.core.heights.integration import integrate
-from edge.core.heights.slopes import SlopeFinder
 
-__all__ = ["HeightMap", "find_touched", "free_picture", "measure_heights", "part_heights"]
+__all__ = [
+    "HeightMap",
+    "SlopeFinder",
+    "find_touched",
+    "free_picture",
+    "integrate",
+    "measure_heights",
+    "part_heights",
+]
 
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
@@ -139,6 +145,75 @@ def part_heights(
         raw = integrate(*finder.find(planes, np.maximum(heights, 0)), (mm[0], mm[1]))
         heights = _level(raw, free)
     return heights
+
+
+_STEPS = 3
+# A step of a normal's part, and the steepest normal: 67 degrees, beyond any ball that was pressed.
+_MOST_STEP, _STEEPEST = np.float32(0.3), np.float32(0.92)
+
+
+class SlopeFinder:
+    """Finds the slopes of one part of the picture whose colours fit best, by Gauss-Newton steps.
+
+    powers: `place_powers` of it. light: the free gel's brightness.
+    """
+
+    def __init__(self, calibration: HeightCalibration, powers: F64, light: F64) -> None:
+        # Colours are weighed by what the fit left of them; whitened, least squares needs no weights.
+        white = np.linalg.cholesky(np.linalg.inv(calibration.rest)).T
+        response = calibration.response * light[:, None, None]
+        self._per_term = np.tensordot(np.tensordot(white, response, 1), powers, 1).astype(np.float32)
+        self._white = white.astype(np.float32)
+        self._nx = self._ny = np.zeros(powers.shape[1:], np.float32)
+
+    def find(self, change: F32, raised_mm: F64) -> tuple[F64, F64]:
+        """Return the slopes to the right and down, float64 (h, w) each; each call goes on from the last one.
+
+        change: the press without the free gel, float32 (3, h, w). raised_mm: where the gel is by now thought to be.
+        """
+        term = self._per_term
+        target = np.tensordot(self._white, change, 1) - term[:, 5] * raised_mm.astype(np.float32)
+        nx, ny = self._nx, self._ny
+        for _ in range(_STEPS):
+            by_x = term[:, 0] + 2 * term[:, 2] * nx + term[:, 4] * ny
+            by_y = term[:, 1] + 2 * term[:, 3] * ny + term[:, 4] * nx
+            seen = (term[:, 0] + term[:, 2] * nx + term[:, 4] * ny) * nx + (term[:, 1] + term[:, 3] * ny) * ny
+            rest = target - seen
+            xx, xy, yy = (by_x * by_x).sum(0), (by_x * by_y).sum(0), (by_y * by_y).sum(0)
+            x, y = (by_x * rest).sum(0), (by_y * rest).sum(0)
+            # A determinant near 0 has no answer; the step is then held.
+            inverse = 1 / np.maximum(xx * yy - xy * xy, np.float32(1e-6) * xx * yy + np.float32(1e-12))
+            nx = nx + np.clip((yy * x - xy * y) * inverse, -_MOST_STEP, _MOST_STEP)
+            ny = ny + np.clip((xx * y - xy * x) * inverse, -_MOST_STEP, _MOST_STEP)
+            length = np.sqrt(nx * nx + ny * ny)
+            held = _STEEPEST / np.maximum(length, _STEEPEST)
+            nx, ny = nx * held, ny * held
+        self._nx, self._ny = nx, ny
+        flat = -1 / np.sqrt(1 - nx * nx - ny * ny).astype(np.float64)
+        return nx * flat, ny * flat
+
+
+def integrate(slope_x: F64, slope_y: F64, mm_per_px: tuple[float, float]) -> F64:
+    """Return the surface whose steps between neighbours fit best, by least squares: mm, mean 0, float64 (h, w).
+
+    slope_x, slope_y: mm per mm to the right and down, (h, w) with even sides, which OpenCV's transform takes.
+    A step between two pixels is the mean of their slopes, and nothing is asked beyond the border (Neumann). The cosine
+    transform solves it exactly, with the eigenvalues of this very step: solvers that mix another derivative with them
+    are wrong in scale by the size of the feature.
+    """
+    height, width = slope_x.shape
+    across, down = np.zeros((2, height, width))
+    across[:, :-1] = (slope_x[:, 1:] + slope_x[:, :-1]) * (mm_per_px[0] / 2)
+    down[:-1] = (slope_y[1:] + slope_y[:-1]) * (mm_per_px[1] / 2)
+    bend = across + down
+    bend[:, 1:] -= across[:, :-1]
+    bend[1:] -= down[:-1]
+    rows, columns = (2 - 2 * np.cos(np.pi * np.arange(n) / n) for n in (height, width))
+    eigenvalues = rows[:, None] + columns
+    eigenvalues[0, 0] = 1.0
+    waves = cv2.dct(bend) / -eigenvalues
+    waves[0, 0] = 0.0
+    return np.asarray(cv2.dct(waves, flags=cv2.DCT_INVERSE))
 
 
 def _smooth(picture: F32) -> F32:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.core.heights.integration import integrate
+from edge.core.heights.height_map import integrate
 
 F64 = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from edge.core.heights.calibration import SIZE, place_powers, surface_terms
-from edge.core.heights.slopes import SlopeFinder
+from edge.core.heights.height_map import SlopeFinder
 
 F64 = NDArray[np.float64]
 
