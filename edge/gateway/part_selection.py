@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Final
 
 from edge.background import Background
-from edge.core.errors import GelgateError, StoreError
+from edge.core.errors import BundleCorrupt, GelgateError, StoreError
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
 from edge.core.sentence import Sentence, join_sentences
 from edge.gateway.bundle_set import BundleSet
-from edge.gateway.golden_watch import GoldenWatch
 from edge.gateway.opening import Opened
 from edge.gateway.status import StationStatus
 from edge.model.inspector import Inspector
@@ -26,6 +25,65 @@ log = logging.getLogger(__name__)
 
 # A first run of a bundle may take two minutes; nothing is lost when it is left.
 CLOSE_S: Final = 3.0
+GOLDEN_EVERY_S: Final = 3600.0
+# After a fault they are scored again sooner: it may have been the memory of one moment.
+AFTER_FAULT_S: Final = 60.0
+
+
+class GoldenWatch:
+    """The golden frames of the bundle in use, scored again every hour: a machine that computes differently is found.
+
+    `watch` a bundle from now on, then `step` in every turn in which nothing presses the gel: no press waits for more
+    than one frame's score. fault: why its scores cannot be trusted, or None.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._inspector: Inspector | None = None
+        self._number = 0
+        self._next_ns = 0
+        self._asked: list[Future[str | None]] = []
+        self.fault: str | None = None
+
+    def watch(self, inspector: Inspector, *, is_checked: bool = False) -> None:
+        """Another bundle is in use. is_checked: its frames were scored just now."""
+        self._inspector = inspector
+        self._number = 0
+        self.fault = inspector.fault  # of when it was in use before, until its frames score well
+        self._next_ns = self._clock.monotonic_ns() + (round(GOLDEN_EVERY_S * 1e9) if is_checked else 0)
+
+    def request(self) -> "Future[str | None]":
+        """Score all frames with the next turns; the result is `fault` after the last one."""
+        self._number, self._next_ns = 0, self._clock.monotonic_ns()
+        self._asked.append(Future())
+        return self._asked[-1]
+
+    def step(self) -> bool:
+        """Score one golden frame, if it is time; returns whether `fault` has changed."""
+        if self._inspector is None or self._clock.monotonic_ns() < self._next_ns:
+            return False
+        fault = None
+        try:
+            if self._number < len(self._inspector.bundle.golden):
+                self._inspector.scorer.check_golden_frame(self._number)
+                self._number += 1
+                if self._number < len(self._inspector.bundle.golden):
+                    return False
+        except BundleCorrupt as error:
+            fault = str(error)
+        self._number = 0
+        self._next_ns = self._clock.monotonic_ns() + round((AFTER_FAULT_S if fault else GOLDEN_EVERY_S) * 1e9)
+        before, self.fault = self.fault, fault
+        for asked in self._asked:
+            if asked.set_running_or_notify_cancel():
+                asked.set_result(fault)
+        self._asked.clear()
+        return before != fault
+
+    def close(self) -> None:
+        """Score nothing any more: who waits for golden frames is not kept waiting. May be called again."""
+        for asked in self._asked:
+            asked.cancel()
 
 
 class PartSelection:
@@ -57,9 +115,9 @@ class PartSelection:
         self._is_recorded = False
         self._exchanges = self._seen_exchanges = 0  # made, and made when the present opening began
         self._unrecorded: deque[Act] = deque()
-        self._golden = GoldenWatch(clock)
+        self.golden = GoldenWatch(clock)
         self.on_change: Callable[[], None] = lambda: None
-        self._golden.watch(self.inspector, is_checked=True)
+        self.golden.watch(self.inspector, is_checked=True)
 
     @property
     def inspector(self) -> Inspector:
@@ -133,11 +191,6 @@ class PartSelection:
         """Open the configured bundles again, while presses are judged as before."""
         self.worker.ask(self._open_again)
 
-    def score_golden(self) -> "Future[str | None]":
-        """Score the golden frames of the bundle in use with the next turns; the result is why they score otherwise, or
-        None."""
-        return self._golden.request()
-
     def step(self, *, is_pressed: bool) -> None:
         """Take one turn: new bundles, change the one in use, score a golden frame. Errors: StoreError, and then the one
         in use has not changed; the next turn tries again."""
@@ -152,14 +205,10 @@ class PartSelection:
             self._unrecorded.popleft()
         if not is_pressed and (self.is_waiting or not self._is_recorded):
             self._change()
-        elif not is_pressed and self._golden.step():
+        elif not is_pressed and self.golden.step():
             self._report_golden()
         if self.inspector is not inspector or self.bundles is not bundles:
             self.on_change()
-
-    def cancel_golden(self) -> None:
-        """The loop ends: who waits for golden frames is not kept waiting. May be called again."""
-        self._golden.close()
 
     def close(self) -> None:
         """End the work in the background; what is being opened is waited for, but not long. May be called again."""
@@ -185,7 +234,7 @@ class PartSelection:
         before, self._in_use = self.inspector, chosen
         if chosen.inspector is not before:
             log.info("%s is inspected from now on, with bundle %s", chosen.part, bundle.where)
-            self._golden.watch(chosen.inspector)
+            self.golden.watch(chosen.inspector)
             self._report_golden()
 
     def _take(self, staged: Opened | GelgateError) -> None:
@@ -231,7 +280,7 @@ class PartSelection:
 
     def _report_golden(self) -> None:
         """While golden frames score otherwise, no press has a verdict."""
-        fault = self._golden.fault
+        fault = self.golden.fault
         self.inspector.fault = fault
         if fault is None:
             self._status.clear_fault("golden")

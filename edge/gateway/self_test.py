@@ -22,7 +22,7 @@ Finding = tuple[bool, str]
 
 def self_test(parts: Parts) -> Callable[[], Mapping[str, Any]]:
     """Asked on the loop's thread; the result is called on another one, while the loop scores the golden frames."""
-    golden, where = parts.selection.score_golden(), parts.selection.inspector.bundle.where
+    golden, where = parts.selection.golden.request(), parts.selection.inspector.bundle.where
     frames = len(parts.selection.inspector.bundle.golden)
     found = {
         "sensor": _sensor(parts.acquisition),

@@ -143,7 +143,7 @@ class StationLoop:
                 on_turn()
         finally:
             self.parts.calls.close(self)
-            self.parts.selection.cancel_golden()
+            self.parts.selection.golden.close()
         self._record()
         self.publish_stats()
 
