@@ -15,7 +15,7 @@ from edge.cli.gel import user
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
 from edge.clock import SystemClock, local_time
 from edge.config import Config, load_config
-from edge.config.reference_table import ReferenceTable
+from edge.config.feature_tables import ReferenceTable
 from edge.core.errors import ConfigError, GelgateError
 from edge.core.ports import Clock
 from edge.core.printable import printable, score_texts, write_count

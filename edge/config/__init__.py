@@ -3,8 +3,8 @@
 Paths are relative to the file. Plugin options are validated by the plugin's own `Options` model, in the same report.
 """
 
+from edge.config.feature_tables import OverviewTable
 from edge.config.loading import load_config, root_options, sink_names
-from edge.config.overview_table import OverviewTable
 from edge.config.plugin_tables import ActuatorTable, HandshakeTable, PluginTable, TriggerTable
 from edge.config.tables import BundleTable, Config, ContactTable, InspectionTable
 

@@ -7,8 +7,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from edge.config.overview_table import OverviewTable
-from edge.config.piece_table import PieceTable
+from edge.config.feature_tables import (
+    CommandTable,
+    ConfirmTable,
+    MetricsTable,
+    OverviewTable,
+    PieceTable,
+    ReferenceTable,
+)
 from edge.config.plugin_tables import (
     ActuatorTable,
     HandshakeTable,
@@ -18,8 +24,6 @@ from edge.config.plugin_tables import (
     Table,
     TriggerTable,
 )
-from edge.config.reference_table import ReferenceTable
-from edge.config.request_tables import CommandTable, ConfirmTable, MetricsTable
 from edge.core.contact.settings import ContactSettings
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
 from edge.core.sink_context import Place, topic_level

@@ -15,7 +15,7 @@ from typing import Any, Final, Self
 from pydantic import Field
 
 from edge.config import Config
-from edge.config.piece_table import PieceTable
+from edge.config.feature_tables import PieceTable
 from edge.core.contact.events import Event, PressBegan, PressSettled
 from edge.core.errors import ConfigError, StoreError
 from edge.core.imaging.quality import Reason, Rejection

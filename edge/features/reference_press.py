@@ -8,7 +8,7 @@ from typing import Final, Self
 
 from pydantic import Field
 
-from edge.config.reference_table import MasterPieceTable, ReferenceTable
+from edge.config.feature_tables import MasterPieceTable, ReferenceTable
 from edge.core.contact.events import PressSettled
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock, Message

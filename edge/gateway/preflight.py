@@ -18,7 +18,7 @@ from typing import Self, TypeVar
 
 from edge import registry
 from edge.config import Config, PluginTable
-from edge.config.piece_table import PieceTable
+from edge.config.feature_tables import PieceTable
 from edge.core.errors import (
     BundleMismatch,
     ConfigError,

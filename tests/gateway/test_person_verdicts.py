@@ -13,7 +13,7 @@ from shadow_station import FIVE
 from station import Configure, Motion, press_recording, station_config, variant
 from stepped_station import SteppedStation
 
-from edge.config.request_tables import ConfirmTable
+from edge.config.feature_tables import ConfirmTable
 from edge.core.press import ReferenceLabel
 from edge.features.outputs.stage import Outputs
 from edge.features.person_verdicts import PersonVerdicts

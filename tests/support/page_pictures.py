@@ -15,7 +15,7 @@ from chromium import BROWSER_MS, chromium, wait_until
 from page_messages import PICTURE, T0_NS, gel, info, press, state, stats
 
 from edge.clock import SystemClock
-from edge.config.request_tables import CommandTable
+from edge.config.feature_tables import CommandTable
 from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.sink_context import PageRequests
