@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from edge.core.errors import ConfigError
 from edge.core.heights.calibration import HeightCalibration
@@ -21,10 +21,8 @@ _Row = Annotated[tuple[_Colour, ...], Field(min_length=8, max_length=8)]
 _Share = Annotated[float, Field(ge=0, le=1)]
 
 
-class _File(BaseModel):
+class _File(BaseModel, extra="forbid", frozen=True, allow_inf_nan=False):
     """Fields and units are those of `HeightCalibration`."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     version: Literal[1]
     kind: Literal["heights"]

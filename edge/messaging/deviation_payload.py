@@ -2,7 +2,7 @@
 
 from typing import ClassVar, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from edge.core.heights.deviation import Deviation
 from edge.core.ports import Message
@@ -11,10 +11,8 @@ from edge.messaging.payload_base import Payload, PressId
 __all__ = ["DeviationPlace", "DeviationsPayload"]
 
 
-class DeviationPlace(BaseModel):
+class DeviationPlace(BaseModel, strict=True, frozen=True, extra="forbid", allow_inf_nan=False):
     """One deviation. What is null is not told from its error."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
 
     depth_mm: float | None = Field(
         default=None,

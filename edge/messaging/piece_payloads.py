@@ -2,7 +2,7 @@
 
 from typing import ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from edge.core.piece import End, Piece, PieceVerdict
 from edge.messaging.payload_base import Payload, PressId
@@ -10,10 +10,8 @@ from edge.messaging.payload_base import Payload, PressId
 __all__ = ["PiecePayload", "PiecePlace", "PieceResultPayload"]
 
 
-class PiecePlace(BaseModel):
+class PiecePlace(BaseModel, strict=True, frozen=True, extra="forbid", allow_inf_nan=False):
     """One place of a piece."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
 
     part: str
     position: str

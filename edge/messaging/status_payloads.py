@@ -2,7 +2,7 @@
 
 from typing import ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from edge.core.contact_guidance import Advice
 from edge.core.contact_state import ContactState
@@ -155,10 +155,8 @@ class GelPayload(Payload):
         return cls(time_ns=time_ns, sensor_serial=gel.serial, **fields)
 
 
-class Question(BaseModel):
+class Question(BaseModel, strict=True, frozen=True, extra="forbid", allow_inf_nan=False):
     """One press that a person is asked about."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
 
     press_id: PressId
     time_ns: int = Field(ge=0)
@@ -184,10 +182,8 @@ class QuestionsPayload(Payload):
     )
 
 
-class ChartPart(BaseModel):
+class ChartPart(BaseModel, strict=True, frozen=True, extra="forbid", allow_inf_nan=False):
     """The control chart of one measure of passing presses; rises and falls are sums of standard deviations."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
 
     measure: str
     title: str

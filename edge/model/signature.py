@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, StringConstraints, ValidationError
+from pydantic import BaseModel, StringConstraints, ValidationError
 
 from edge.core.errors import BundleCorrupt, BundleMismatch, ConfigError
 from edge.extras import needs
@@ -45,10 +45,8 @@ _FINGERPRINT_CHARACTERS: Final = 16
 Policy = Literal["allowed", "required"]
 
 
-class SignatureFile(BaseModel):
+class SignatureFile(BaseModel, extra="forbid", frozen=True):
     """The content of `manifest.sig`. key: fingerprint of the public key. signature: base64 of 64 bytes."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     algorithm: Literal["ed25519"]
     key: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]

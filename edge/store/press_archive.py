@@ -23,7 +23,7 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from edge.core.errors import ArchiveError
 from edge.store.database import open_read_only
@@ -58,10 +58,8 @@ Digest = str
 """SHA-256 in hexadecimal digits."""
 
 
-class ArchivedPress(BaseModel):
+class ArchivedPress(BaseModel, frozen=True, extra="forbid", strict=True, allow_inf_nan=False):
     """What one verdict was made from."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     version: Literal[1] = 1
     press_id: str

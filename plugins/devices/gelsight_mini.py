@@ -10,7 +10,7 @@ from typing import Literal
 
 import usb.core
 import usb.util
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from edge.core.plugins import DevicePlugin, RecordsDialogue, Resettable
 from edge.core.ports import Clock, Device, DiscoveredDevice
@@ -26,10 +26,8 @@ from plugins.devices.v4l2.sensor import V4l2Sensor, open_capture
 __all__ = ["GelsightMini", "GelsightMiniOptions", "plugin"]
 
 
-class GelsightMiniOptions(BaseModel):
+class GelsightMiniOptions(BaseModel, extra="forbid", frozen=True):
     """Which sensor, and how it is read."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     serial: str | None = Field(
         default=None,

@@ -6,7 +6,7 @@ a bus, a driver or a fault; use `usb_mock` for those.
 
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from edge.core.errors import DeviceLost, DeviceStalled, FrameCorrupt, RecordingEnded, RecordingError
 from edge.core.imaging.frames import CameraFrame
@@ -18,10 +18,8 @@ from edge.recording.format import Recording
 __all__ = ["Recorded", "RecordedOptions", "RecordedSensor", "plugin"]
 
 
-class RecordedOptions(BaseModel):
+class RecordedOptions(BaseModel, extra="forbid", frozen=True):
     """Which recording, and how it is played."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     recording: Path = Field(
         description="the folder to play, made by `gelgate record` or `gelgate lab simulate`"

@@ -9,7 +9,7 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from edge.core.errors import (
     DeviceBusy,
@@ -55,10 +55,8 @@ def quiet_depthai() -> Any:
     return depthai
 
 
-class OakOptions(BaseModel):
+class OakOptions(BaseModel, extra="forbid", frozen=True):
     """Which OAK, and the size of its pictures."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     serial: str | None = Field(
         default=None, description="its device id, if several are there: `gelgate devices`"

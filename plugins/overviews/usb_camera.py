@@ -6,7 +6,7 @@ as on Linux 6.1, and the reader on its recorded answers. Not yet seen: a camera 
 
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from edge.core.errors import DeviceNotFound
 from edge.core.plugins import DevicePlugin
@@ -20,10 +20,8 @@ __all__ = ["UsbCamera", "UsbCameraOptions", "choose", "discovered", "plugin"]
 TOUCH_SENSOR = "GelSight"
 
 
-class UsbCameraOptions(BaseModel):
+class UsbCameraOptions(BaseModel, extra="forbid", frozen=True):
     """Which camera, and the size of its pictures."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     camera: str | None = Field(
         default=None,

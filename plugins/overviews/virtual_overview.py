@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from edge.core.errors import DeviceLost
 from edge.core.imaging.frames import CameraFrame
@@ -23,10 +23,8 @@ LAST_TAG = 586
 CODE_PX, MARGIN_PX = 210, 30
 
 
-class VirtualOverviewOptions(BaseModel):
+class VirtualOverviewOptions(BaseModel, extra="forbid", frozen=True):
     """What lies on the table at each press, in order, and again from the start."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     parts: list[str] = Field(
         default=["PZ0"],

@@ -13,7 +13,7 @@ import os
 import threading
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from edge.core.errors import SinkRejected, SinkUnavailable
 from edge.core.imaging.image_bytes import kind
@@ -24,10 +24,8 @@ from edge.core.sink_context import Station
 __all__ = ["Jsonl", "JsonlOptions", "JsonlSink", "plugin"]
 
 
-class JsonlOptions(BaseModel):
+class JsonlOptions(BaseModel, extra="forbid", frozen=True):
     """Options of the file sink."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     folder: Path = Field(description="the folder of `messages.jsonl` and the pictures, made at first use")
 

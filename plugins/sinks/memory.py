@@ -5,7 +5,7 @@ What it does not do: it loses everything at a restart, has no limit, connects to
 
 import threading
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from edge.core.plugins import SinkPlugin
 from edge.core.ports import Message
@@ -14,10 +14,8 @@ from edge.core.sink_context import Station
 __all__ = ["Memory", "MemoryOptions", "MemorySink", "plugin"]
 
 
-class MemoryOptions(BaseModel):
+class MemoryOptions(BaseModel, extra="forbid", frozen=True):
     """It has no options."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class MemorySink:

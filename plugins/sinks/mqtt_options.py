@@ -28,10 +28,8 @@ TopicLevel = Annotated[str, AfterValidator(topic_level)]
 PlainText = Annotated[str, StringConstraints(min_length=1, max_length=256, pattern=r"^[^\x00-\x1f\x7f]*$")]
 
 
-class TlsOptions(BaseModel):
+class TlsOptions(BaseModel, extra="forbid", frozen=True, allow_inf_nan=False):
     """The files of an encrypted connection; an empty table trusts the system's certificate authorities."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     ca: Path | None = Field(
         default=None,
