@@ -111,16 +111,13 @@ class _Pedal:
         if bus.is_down() == self._is_down:
             bus.clock.sleep(min(timeout_s, bus.next_change_s()))
         if not bus.has_devices():
-            return self._gone()
+            if not bus.is_silent:
+                raise DeviceLost("FootSwitch at virtual/pedal is gone")
+            return b""
         if bus.is_down() == self._is_down:
             return b""
         self._is_down = bus.is_down()
         return bytes([0, 0, F13 if self._is_down else 0, 0, 0, 0, 0, 0])[:most]
-
-    def _gone(self) -> bytes:
-        if not self._bus.is_silent:
-            raise DeviceLost("FootSwitch at virtual/pedal is gone")
-        return b""
 
     def send_feature(self, report: bytes) -> None:
         self._bus.check(PEDAL_INFO)

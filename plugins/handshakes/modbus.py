@@ -127,8 +127,8 @@ class _Registers:
         bits = status_bits(self._handshake.read()) if request[0] == 2 else list(map(bool, self._coils))
         start, count = struct.unpack(">HH", request[1:])
         _check_range(_READ[request[0]], start, count, len(bits), 2000, ip)
-        packed = _pack_bits(bits[start : start + count])
-        return bytes([len(packed)]) + packed
+        word, size = sum(bit << n for n, bit in enumerate(bits[start : start + count])), (count + 7) // 8
+        return bytes([size]) + word.to_bytes(size, "little")
 
     def _read_registers(self, request: bytes, client: "_Connection", ip: str) -> bytes:
         words = input_registers(self._handshake.read()) if request[0] == 4 else self._holding
@@ -236,13 +236,6 @@ def _check_range(what: str, start: int, count: int, have: int, most: int, ip: st
             _ILLEGAL_ADDRESS,
             f"{ip} asks for {what} {start} to {start + count - 1}, where the map has 0 to {have - 1}",
         )
-
-
-def _pack_bits(bits: Sequence[bool]) -> bytes:
-    packed = bytearray((len(bits) + 7) // 8)
-    for n, bit in enumerate(bits):
-        packed[n // 8] |= bit << n % 8
-    return bytes(packed)
 
 
 class _Connection(BaseRequestHandler):

@@ -29,14 +29,6 @@ def _automatic_state(view: HandshakeView) -> str:
     return "SingleExecution" if view.step == "busy" else "Initialized"
 
 
-def _score_ratio(view: HandshakeView) -> float:
-    return -1.0 if view.score_ratio is None else view.score_ratio
-
-
-def _alarms(view: HandshakeView) -> str:
-    return ", ".join(sorted(view.station.alarms))
-
-
 _STATES: Final = "VisionStateMachine"
 _JOBS: Final = f"{_STATES}/AutomaticModeStateMachine"
 _RESULT: Final = "ResultManagement/LatestResult"
@@ -76,7 +68,11 @@ VARIABLES: Final[Mapping[str, tuple[str, str, Callable[[HandshakeView], Any]]]] 
         lambda view: not view.is_pass,
     ),
     f"{_RESULT}/ErrorCode": ("UInt16", "why it is an error", lambda view: int(view.code)),
-    f"{_RESULT}/ScoreRatio": ("Double", "score / threshold: above 1 fails; -1 for none", _score_ratio),
+    f"{_RESULT}/ScoreRatio": (
+        "Double",
+        "score / threshold: above 1 fails; -1 for none",
+        lambda view: -1.0 if view.score_ratio is None else view.score_ratio,
+    ),
     "Station/RefusalCode": (
         "UInt16",
         "why the newest job was refused; 0 since one was taken",
@@ -93,7 +89,11 @@ VARIABLES: Final[Mapping[str, tuple[str, str, Callable[[HandshakeView], Any]]]] 
         lambda view: view.station.piece_id or "",
     ),
     "Station/Contact": ("String", "as on the topic `contact`", lambda view: view.station.contact),
-    "Station/Alarms": ("String", "the raised alarms, with commas", _alarms),
+    "Station/Alarms": (
+        "String",
+        "the raised alarms, with commas",
+        lambda view: ", ".join(sorted(view.station.alarms)),
+    ),
 }
 """Path below `VisionSystem`: OPC UA type, meaning and value."""
 

@@ -174,7 +174,8 @@ class OpcUaServer:
         from asyncua import ua
 
         kind, _, value = VARIABLES[path]
-        return ua.DataValue(ua.Variant(value(self._seen()), ua.VariantType[kind]), SourceTimestamp=_now())
+        variant = ua.Variant(value(self._seen()), ua.VariantType[kind])
+        return ua.DataValue(variant, SourceTimestamp=datetime.now(UTC))
 
     async def _push(self, server: "Server") -> None:
         """Tell subscriptions what has changed."""
@@ -304,10 +305,6 @@ def _make_place(server: "Server", lines: Rate) -> None:
                 client.peer_name,
             )
         client.transport.abort()  # what it has not taken it never will
-
-
-def _now() -> datetime:
-    return datetime.now(UTC)
 
 
 class OpcUa(HandshakePlugin[OpcUaOptions]):

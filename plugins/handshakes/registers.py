@@ -90,10 +90,6 @@ def status_bits(view: HandshakeView) -> list[bool]:
     return [value(view) for _, _, value in STATUS_BITS]
 
 
-def _status_word(view: HandshakeView) -> int:
-    return sum(is_set << bit for bit, is_set in enumerate(status_bits(view)))
-
-
 def _alarm_word(view: HandshakeView) -> int:
     left, word = set(view.station.alarms), 0
     for bit, alarms in enumerate(ALARM_BITS):
@@ -111,7 +107,11 @@ def _ratio(view: HandshakeView) -> int:
 _CONTACT: Final[tuple[str, ...]] = get_args(ContactState)
 
 INPUTS: Final[Sequence[Register]] = (
-    Register("status word", "the discrete inputs as bits, input 0 in bit 0", _status_word),
+    Register(
+        "status word",
+        "the discrete inputs as bits, input 0 in bit 0",
+        lambda view: sum(is_set << bit for bit, is_set in enumerate(status_bits(view))),
+    ),
     Register("id", "of the trigger that is busy or done; 0 for none", lambda view: view.trigger_id, 2),
     Register("error code", "why the result is an error", lambda view: view.code),
     Register(

@@ -86,27 +86,30 @@ class OakCamera:
 
     def read(self, deadline_ns: int) -> CameraFrame:
         """The next picture (see `Device.read`)."""
+        import cv2
+
         if self._gone is not None:
             raise self._gone
         left_s = max(0.0, (deadline_ns - self._clock.monotonic_ns()) / 1e9)
         try:
             message = self._queue.get(timedelta(seconds=left_s))
         except (RuntimeError, self._queue.QueueException) as error:  # a broken XLink, or a closed queue
-            self._gone = self._ending(error)
+            self._gone = (
+                RecordingEnded(f"{self._name} has ended after {self._sequence} pictures")
+                if self._is_film
+                else DeviceLost(f"{self._name} is gone ({error}); it is opened again")
+            )
             raise self._gone from error
         if message is None:
             raise DeviceStalled(f"{self._name} gave no picture before the deadline")
         self._sequence += 1
-        return CameraFrame(_jpeg(message.getCvFrame()), self._clock.monotonic_ns(), self._sequence - 1)
+        quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+        jpeg = cv2.imencode(".jpg", message.getCvFrame(), quality)[1].tobytes()
+        return CameraFrame(jpeg, self._clock.monotonic_ns(), self._sequence - 1)
 
     @property
     def _name(self) -> str:
         return f"{self.identity.product} {self.identity.serial}"
-
-    def _ending(self, error: Exception) -> DeviceLost | RecordingEnded:
-        if self._is_film:
-            return RecordingEnded(f"{self._name} has ended after {self._sequence} pictures")
-        return DeviceLost(f"{self._name} is gone ({error}); it is opened again")
 
     def close(self) -> None:
         self._gone = self._gone or DeviceLost(f"{self._name} was closed")
@@ -181,9 +184,3 @@ def _film(dai: Any, options: OakOptions, clock: Clock) -> OakCamera:
     queue = replay.out.createOutputQueue(1, True)
     pipeline.start()
     return OakCamera(_identity(str(film), options), pipeline, queue, clock, is_film=True)
-
-
-def _jpeg(bgr: Any) -> bytes:
-    import cv2
-
-    return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()

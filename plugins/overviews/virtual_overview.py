@@ -56,12 +56,14 @@ class VirtualCamera:
 
     def read(self, deadline_ns: int) -> CameraFrame:
         """The next picture, at once (see `Device.read`)."""
+        import cv2
+
         if self._is_closed:
             raise DeviceLost("the virtual overview camera was closed")
         number = self._sequence
         self._sequence += 1
         text = self._options.parts[number % len(self._options.parts)]
-        payload = _jpeg(_draw(text, self._options.kind, number))
+        payload = cv2.imencode(".jpg", _draw(text, self._options.kind, number))[1].tobytes()
         return CameraFrame(payload, self._clock.monotonic_ns(), number, is_on_demand=True)
 
     def close(self) -> None:
@@ -105,9 +107,3 @@ def _code(text: str, kind: str) -> Any:
         return cv2.aruco.generateImageMarker(family, int(text), CODE_PX)
     code = cv2.QRCodeEncoder.create().encode(text)
     return cv2.resize(code, (CODE_PX, CODE_PX), interpolation=cv2.INTER_NEAREST)
-
-
-def _jpeg(grey: NDArray[np.uint8]) -> bytes:
-    import cv2
-
-    return cv2.imencode(".jpg", grey)[1].tobytes()

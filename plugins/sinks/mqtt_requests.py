@@ -49,7 +49,11 @@ class Requests:
         if why is not None:
             if self._lines.take():
                 log.warning("a request on %s is refused: %s", request.topic, why)
-            self._refuse(request, why, connection)
+            if self._station.on_refused is not None and connection is not None:
+                payload = self._station.on_refused(
+                    _verb(request), request.payload[:LARGEST_REQUEST_BYTES], why
+                )
+                connection.publish_soon(_response(request, payload))
 
     def next(self) -> Received | None:
         """The oldest request; waits for one. None after `close`."""
@@ -78,11 +82,6 @@ class Requests:
         if not _may_answer_on(request):
             return f"its response topic is not {request.topic}/response or a topic below; nothing was done"
         return None
-
-    def _refuse(self, request: Received, why: str, connection: Connection | None) -> None:
-        if self._station.on_refused is not None and connection is not None:
-            payload = self._station.on_refused(_verb(request), request.payload[:LARGEST_REQUEST_BYTES], why)
-            connection.publish_soon(_response(request, payload))
 
 
 def _verb(request: Received) -> str:

@@ -133,6 +133,7 @@ def _payload_class() -> Any:
 
 
 _S, _I, _D, _B = DataType.STRING, DataType.INT64, DataType.DOUBLE, DataType.BOOLEAN
+_TYPES: Final[Mapping[DataType, type[Value]]] = {_S: str, _I: int, _D: float, _B: bool}
 
 # topic -> (metric, data type, field of the JSON payload)
 _FIELDS: Final[Mapping[str, tuple[tuple[str, DataType, str], ...]]] = {
@@ -203,10 +204,6 @@ def metrics_of(message: Message, time_ms: int) -> Iterator[Metric]:
             raise ValueError("expected a JSON object")
         own_ms, is_late = content.get("time_ms", time_ms), bool(content.get("is_replayed", False))
         for name, data_type, field in _FIELDS[message.topic]:
-            yield Metric(name, data_type, _typed(content.get(field), data_type), own_ms, is_late)
-
-
-def _typed(value: Any, kind: DataType) -> Any:
-    if value is None:
-        return None
-    return {_S: str, _I: int, _D: float, _B: bool}[kind](value)
+            value = content.get(field)
+            typed = None if value is None else _TYPES[data_type](value)
+            yield Metric(name, data_type, typed, own_ms, is_late)

@@ -227,7 +227,9 @@ def record_dialogue(
     """
     recorder = DialogueRecorder(backend)
     heard = listen(recorder, choose(discover(recorder), serial), clock, lock_name=lock_name)
-    by = {"dialogue": VERSION, "program": f"gelgate {version('gelgate')}", "system": _system()}
+    kernel = ".".join(platform.release().split(".")[:2])
+    system = f"{platform.system()} {kernel} {platform.machine()}"
+    by = {"dialogue": VERSION, "program": f"gelgate {version('gelgate')}", "system": system}
     return [json.dumps({**by, "heard": heard}), *recorder.lines]
 
 
@@ -251,11 +253,6 @@ def listen(
     finally:
         opened.close()
     return heard
-
-
-def _system() -> str:
-    kernel = ".".join(platform.release().split(".")[:2])
-    return f"{platform.system()} {kernel} {platform.machine()}"
 
 
 def _as_json(names: str) -> Callable[[Any], dict[str, Any]]:

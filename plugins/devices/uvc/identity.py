@@ -4,7 +4,6 @@ Ref: USB dumps in public reports (firmware_notes/gelsight_mini.md). The id 0c45:
 webcams share, so it only selects candidates; the product string decides.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -84,17 +83,13 @@ def choose(seen: list[SensorOnBus], serial: str | None) -> SensorOnBus:
 
 def streaming_modes(device: Any) -> tuple[int, list[VideoMode]]:
     """(number of the streaming interface, its MJPEG modes). Errors: ValueError when it has none."""
-    for interface in _streaming_interfaces(device):
-        if modes := mjpeg_modes(bytes(interface.extra_descriptors)):
+    for interface in (interface for configuration in device for interface in configuration):
+        is_streaming = (
+            interface.bInterfaceClass == CLASS_VIDEO and interface.bInterfaceSubClass == SUBCLASS_STREAMING
+        )
+        if is_streaming and (modes := mjpeg_modes(bytes(interface.extra_descriptors))):
             return int(interface.bInterfaceNumber), modes
     raise ValueError("it has no MJPEG video mode")
-
-
-def _streaming_interfaces(device: Any) -> Iterator[Any]:
-    for configuration in device:
-        for interface in configuration:
-            if (interface.bInterfaceClass, interface.bInterfaceSubClass) == (CLASS_VIDEO, SUBCLASS_STREAMING):
-                yield interface
 
 
 def _serial(one: SensorOnBus) -> str:
@@ -108,7 +103,8 @@ def _look(device: Any) -> DiscoveredDevice:
         why = refusal(product)
         if why:
             return DiscoveredDevice(place, product, refusal=why)
-        serial = usb.util.get_string(device, device.iSerialNumber) or _tail(product)
+        # Else the end of the product string, without its dash: `... 2BNN-4ZE7` is 2BNN4ZE7.
+        serial = usb.util.get_string(device, device.iSerialNumber) or product.split()[-1].replace("-", "")
         mode = largest_mode(streaming_modes(device)[1])
     except (usb.core.USBError, ValueError) as error:
         # pyusb answers a missing permission with "The device has no langid", a ValueError.
@@ -121,11 +117,6 @@ def _look(device: Any) -> DiscoveredDevice:
         usb.util.dispose_resources(device)
     identity = DeviceIdentity(product, serial, (mode.width, mode.height), mode.nominal_fps)
     return DiscoveredDevice(place, product, identity)
-
-
-def _tail(product: str) -> str:
-    """The serial at the end of the product string, without its dash: `... 2BNN-4ZE7` is 2BNN4ZE7."""
-    return product.split()[-1].replace("-", "")
 
 
 def largest_mode(modes: list[VideoMode]) -> VideoMode:

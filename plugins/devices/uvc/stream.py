@@ -253,7 +253,9 @@ def _alternate_for(device: Any, number: int, payload_bytes: int) -> tuple[int, i
     for interface in device.get_active_configuration():
         if interface.bInterfaceNumber == number and interface.bAlternateSetting != 0:
             for endpoint in interface:
-                room = _bytes_per_microframe(int(endpoint.wMaxPacketSize))
+                # Up to three transactions: bits 0-10 the size, bits 11-12 how many more (USB 2.0, table 9-13).
+                packet = int(endpoint.wMaxPacketSize)
+                room = (packet & 0x7FF) * ((packet >> 11 & 3) + 1)
                 settings.append((room, int(interface.bAlternateSetting), int(endpoint.bEndpointAddress)))
     for room, alternate, address in sorted(settings):
         if room >= payload_bytes:
@@ -261,8 +263,3 @@ def _alternate_for(device: Any, number: int, payload_bytes: int) -> tuple[int, i
     raise DeviceLost(
         f"{device.product} asks for {payload_bytes} bytes per micro-frame; no alternate setting has as many"
     )
-
-
-def _bytes_per_microframe(max_packet: int) -> int:
-    """High speed packs up to three transactions: bits 0-10 the size, bits 11-12 how many more (USB 2.0, table 9-13)."""
-    return (max_packet & 0x7FF) * ((max_packet >> 11 & 3) + 1)

@@ -117,7 +117,9 @@ def mjpeg_modes(extra: bytes) -> list[VideoMode]:
         if descriptor[1] != CS_INTERFACE:
             continue
         if descriptor[2] == VS_FORMAT_MJPEG:
-            format_index = _format_index(descriptor)
+            if len(descriptor) < 11:
+                raise ValueError(f"an MJPEG format descriptor has 11 bytes, found {len(descriptor)}")
+            format_index = descriptor[3]
         elif descriptor[2] == VS_FRAME_MJPEG and format_index is not None:
             modes.append(_mode(format_index, descriptor))
     return modes
@@ -134,12 +136,6 @@ def _descriptors(extra: bytes) -> list[bytes]:
         descriptors.append(extra[at : at + length])
         at += length
     return descriptors
-
-
-def _format_index(descriptor: bytes) -> int:
-    if len(descriptor) < 11:
-        raise ValueError(f"an MJPEG format descriptor has 11 bytes, found {len(descriptor)}")
-    return descriptor[3]
 
 
 def _mode(format_index: int, descriptor: bytes) -> VideoMode:

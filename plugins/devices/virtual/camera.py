@@ -232,7 +232,11 @@ class VirtualCamera:
         with self._guard:
             self._silent_until_ns = None
             if self._position >= len(self._frames):
-                self._rewind()
+                if not self._loop or not len(self._frames):
+                    raise RecordingEnded(
+                        f"{self.board.product}: the recording of {len(self._frames)} frames is over"
+                    )
+                self._position = 0
             fault = self._script.pop(self._number, None)
             if fault is not None and fault.kind in ("stall", "unplug"):
                 return self._go_away(fault)
@@ -242,11 +246,6 @@ class VirtualCamera:
             self._number += 1
             self._advance_due()
             return self._packets(payload, fault.kind if fault else None, packet_bytes)
-
-    def _rewind(self) -> None:
-        if not self._loop or not len(self._frames):
-            raise RecordingEnded(f"{self.board.product}: the recording of {len(self._frames)} frames is over")
-        self._position = 0
 
     def _go_away(self, fault: Fault) -> list[Packet]:
         """The frame itself is not lost: it is sent when the camera is back."""
