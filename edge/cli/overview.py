@@ -5,11 +5,12 @@ from typing import Annotated, Final
 
 import typer
 
+from edge import registry
 from edge.cli.options import CONFIG, ConfigOption
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import ConfigError
-from edge.features.overview import overview_opener, read_rules, still_of
+from edge.features.overview import read_rules, still_of
 
 __all__ = ["overview"]
 
@@ -31,7 +32,7 @@ def overview(
         raise ConfigError(f"configuration {config} has no [overview]; docs/operations.md shows one")
     if table.empty is not None and not table.empty.exists():  # this may be the still that becomes it
         table = table.model_copy(update={"empty": None})
-    rules, camera = read_rules(table), overview_opener(table, clock)()
+    rules, camera = read_rules(table), table.opener(registry.overview(table.plugin), clock)()
     try:
         frame = camera.read(clock.monotonic_ns() + round(PATIENCE_S * 1e9))
     finally:

@@ -1,10 +1,13 @@
 """The tables of a configuration that name a plugin: device, sinks, triggers, actuators and handshake."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 from edge.core.digital_io import Condition, OutputRule
+from edge.core.ports import Clock
 
 __all__ = [
     "ActuatorTable",
@@ -29,6 +32,10 @@ class PluginTable(Table):
 
     plugin: str = Field(description="its name")
     options: dict[str, Any] = Field(default_factory=dict, description="the options of that plugin")
+
+    def opener(self, plugin: Any, clock: Clock) -> Callable[[], Any]:
+        """Check the options now; return what opens the same device each time. Errors: ConfigError."""
+        return partial(plugin.open, plugin.Options.model_validate(self.options), clock)
 
 
 PlainText = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]*$")]

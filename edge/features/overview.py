@@ -14,21 +14,21 @@ from numpy.typing import NDArray
 
 from edge import registry
 from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
-from edge.config import Config, OverviewTable, PluginTable
+from edge.config import Config, OverviewTable
 from edge.core.errors import ConfigError, DeviceError, FrameCorrupt, StoreError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import kind
 from edge.core.overview.rules import OverviewRules
 from edge.core.overview.view import OverviewView, Zone
 from edge.core.part_position import PartPosition
-from edge.core.ports import Clock, Device
+from edge.core.ports import Clock
 from edge.core.press import Press, PressLabel
 from edge.core.sentence import Sentence
 from edge.extras import needs
 from edge.press_stage import Alarms, PressStage, Selection, StageParts
 from edge.store.acts import Act
 
-__all__ = ["Overview", "overview_opener", "read_rules", "say_overview_camera", "still_of"]
+__all__ = ["Overview", "read_rules", "say_overview_camera", "still_of"]
 
 log = logging.getLogger(__name__)
 
@@ -76,7 +76,11 @@ class Overview(PressStage):
         rules = read_rules(table)
         say_camera = partial(say_overview_camera, parts.alarms, is_needed=rules.is_asking)
         camera = Acquisition(
-            overview_opener(table, clock), clock, say_camera, depth=1, stall_after_s=_STALL_S
+            table.opener(registry.overview(table.plugin), clock),
+            clock,
+            say_camera,
+            depth=1,
+            stall_after_s=_STALL_S,
         )
         return cls(
             camera,
@@ -227,12 +231,6 @@ def read_rules(table: OverviewTable) -> OverviewRules:
         empty=empty,
         present_share=table.present_share,
     )
-
-
-def overview_opener(table: PluginTable, clock: Clock) -> Callable[[], Device]:
-    """Return what opens the configured overview camera, the same one each time. Errors: ConfigError."""
-    plugin = registry.overview(table.plugin)
-    return partial(plugin.open, plugin.Options.model_validate(table.options), clock)
 
 
 def say_overview_camera(alarms: Alarms, camera: AcquisitionStatus, *, is_needed: bool) -> None:

@@ -140,7 +140,8 @@ class PersonVerdicts(PressStage):
 
     def _say_escapes(self) -> None:
         """Say which presses that passed are damaged, by what people said in the last day."""
-        damaged = [press_id for press_id, words in self._read_said().items() if _is_damaged(words)]
+        settled = {press_id: settle(words) for press_id, words in self._read_said().items()}
+        damaged = [press_id for press_id, word in settled.items() if word and word.saying == "damaged"]
         passed = self._store.read("looking for what passed", partial(read_passed, press_ids=damaged))
         if (escapes := describe_escapes(passed)) != self._escapes:
             self._escapes = escapes
@@ -229,8 +230,3 @@ class PersonVerdicts(PressStage):
             "what the bundle in use is trusted with on a new gel",
         ),
     )
-
-
-def _is_damaged(words: Sequence[PersonVerdict]) -> bool:
-    settled = settle(words)
-    return settled is not None and settled.saying == "damaged"

@@ -117,8 +117,10 @@ class ReferenceGuard(PressStage):
 
     def turn(self, mounted: Mounted | None) -> None:
         now_ns = self._clock.monotonic_ns()
-        has_changed = mounted is not None and not _is_same(mounted, self._mounted)
-        self._mounted = mounted
+        before, self._mounted = self._mounted, mounted
+        has_changed = mounted is not None and (
+            before is None or replace(mounted, has_contact=before.has_contact) != before
+        )
         if has_changed:
             self._armed = None
             self._read()
@@ -316,10 +318,6 @@ class _PublishedTable(PieceTable):
         label = self._label
         payload = describe_reference_press(result, sequence, label.piece, label.expected, judgement)
         return [payload.message()], judgement.sentences
-
-
-def _is_same(mounted: Mounted, before: Mounted | None) -> bool:
-    return before is not None and replace(mounted, has_contact=before.has_contact) == before
 
 
 def _newest_with(scored: list[ReferencePress], mounted: Mounted) -> int | None:

@@ -185,21 +185,15 @@ class Shadow(PressStage):
         in_use = self._selection.inspector.bundle.digest
         return None if shadow is None else (self._selection.part, in_use, shadow.bundle.digest)
 
-    def _need_shadow(self) -> tuple[PartPosition, str, str]:
-        """As `_ids`. Errors: ValueError."""
-        if (ids := self._ids()) is None:
+    def _adopt(self, arguments: NoArguments) -> Any:
+        ids, shadow = self._ids(), self._selection.shadow
+        if ids is None or shadow is None:
             why = "; ".join(self._selection.shadow_faults) or "name one under inspection.shadows, and reload"
             raise ValueError(f"there is no shadow of {self._selection.part}: {why}")
-        return ids
-
-    def _adopt(self, arguments: NoArguments) -> Any:
-        ids = self._need_shadow()
         if self._selection.instead_of is not None:
             raise ValueError(
                 f"the shadow of {ids[0]} has taken over already; restore_bundle brings the configured bundle back"
             )
-        shadow = self._selection.shadow
-        assert shadow is not None
         return partial(self._adopt_if_no_worse, *ids, shadow)
 
     def _adopt_if_no_worse(self, part: PartPosition, in_use: str, other: str, shadow: Inspector) -> Data:

@@ -143,7 +143,11 @@ class Snapshots(PressStage):
             self._store.begin_act(self._done, within_s=0)
             self._done = None
         wish, identity = self._wish, self._find_sensor()
-        if wish is not None and identity is not None and self._is_complete(wish):
+        if (
+            wish is not None
+            and identity is not None
+            and (self._ring[-1].timestamp_ns >= wish.last_ns or self._clock.monotonic_ns() >= wish.due_ns)
+        ):
             frames = [one for one in self._ring if wish.first_ns <= one.timestamp_ns <= wish.last_ns]
             header = RecordingHeader(identity.product, identity.serial, identity.mode, identity.nominal_fps)
             self.worker.ask(partial(self._save, wish.folder, frames, header))
@@ -170,10 +174,6 @@ class Snapshots(PressStage):
 
     def close(self) -> None:
         self.worker.close()
-
-    def _is_complete(self, wish: _Wish) -> bool:
-        newest_ns = self._ring[-1].timestamp_ns
-        return newest_ns >= wish.last_ns or self._clock.monotonic_ns() >= wish.due_ns
 
     def _write(self, folder: Path, frames: Sequence[CameraFrame], header: RecordingHeader) -> None:
         """Room first; a name without a dot in front is a complete recording. Errors: StoreError, OSError."""

@@ -167,16 +167,15 @@ def _open_stages(
     """Open the features that are configured. instead: of features of these names. Errors: ConfigError."""
     features, stages = load_features(parts.config), dict[str, PressStage]()
     for name in (*(name for name in instead if name not in features), *features):
-        stage = instead.get(name) or _open_stage(name, features[name], parts)
+        stage = instead.get(name)
+        if stage is None:
+            feature = features[name]
+            stage = feature.open(replace(parts, options=read_options(name, feature, parts.config)))
         if stage is not None:
             stage.foreign_name = name if name in features and name not in parts.config.features else None
             closing.callback(stage.close)
             stages[name] = stage
     return stages
-
-
-def _open_stage(name: str, feature: type[PressStage], parts: StageParts) -> PressStage | None:
-    return feature.open(replace(parts, options=read_options(name, feature, parts.config)))
 
 
 def _open_bundles(

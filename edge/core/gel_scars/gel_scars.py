@@ -108,7 +108,9 @@ class GelScars:
         """
         before = self.record.masked
         excess = press.excess()
-        scarred = press.in_map(_exceeding(before, excess)) & is_masking
+        # A quiet scar hides nothing: it may have been wiped off.
+        places = _Places.of(before.astype(np.float32))
+        scarred = press.in_map(places.touch(excess > 0)[places.labels]) & is_masking
         found = _Places.of(excess)
         outside, left_out = _outside(press, found)
         masked = scarred | press.in_map(left_out)
@@ -185,12 +187,6 @@ class GelScars:
             near = near | _within(known.places, _HALO_PX)
         wide = cv2.dilate((place & near).astype(np.uint8), _WIDER)
         return np.asarray(wide > 0)
-
-
-def _exceeding(scars: Mask, excess: F32) -> Mask:
-    """The scars under which this press exceeds the limit. A quiet one hides nothing: it may have been wiped off."""
-    places = _Places.of(scars.astype(np.float32))
-    return places.touch(excess > 0)[places.labels]
 
 
 def _outside(press: ScoredPress, found: _Places) -> tuple[Mask, Mask]:

@@ -90,7 +90,9 @@ class MarkerDots:
         blobs = self._blobs(rgb)
         is_dot = np.zeros(len(blobs.areas), np.bool_)
         is_dot[self._match(blobs.centres)[1]] = True
-        return _grow(blobs.mask(is_dot), max(1, round(_RIM * self.width_px)))
+        side = 2 * max(1, round(_RIM * self.width_px)) + 1
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+        return np.asarray(cv2.dilate(blobs.mask(is_dot), disc) > 0)
 
     def find_shifts(self, rgb: U8) -> F64:
         """Find how far each dot of a picture lies from its place, float64 (n, 2), NaN where it is not seen."""
@@ -262,11 +264,6 @@ def _close(plane: U8, across_px: float) -> U8:
 def _disc(width_px: float) -> float:
     """Return the area of a disc."""
     return math.pi / 4 * width_px**2
-
-
-def _grow(mask: U8, px: int) -> Mask:
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * px + 1, 2 * px + 1))
-    return np.asarray(cv2.dilate(mask, disc) > 0)
 
 
 def _continue_into(rgb: U8, hidden: Mask) -> F32:

@@ -21,7 +21,6 @@ from edge.core.handshake import Code, HandshakeMachine, HandshakeServer, Trigger
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.part_position import PartPosition
-from edge.core.ports import Clock
 from edge.core.press import Press, PressLabel
 from edge.core.sentence import Sentence
 from edge.features.handshake.port import PLC, Port
@@ -63,7 +62,9 @@ class HandshakeStage(PressStage):
     def open(cls, parts: StageParts) -> Self | None:
         """Take the port of the configured server, which does not serve yet. Errors: ConfigError."""
         table = parts.config.handshake
-        return None if table is None else cls(parts, table, _open_server(table, parts.clock))
+        if table is None:
+            return None
+        return cls(parts, table, table.opener(registry.handshake(table.plugin), parts.clock)())
 
     @classmethod
     def attempts(cls, config: Config) -> Iterator[tuple[str, Callable[[], str]]]:
@@ -224,14 +225,9 @@ def _left(gel: GelRecord) -> int:
     return max(0, 100 * (gel.limit_presses - gel.presses) // gel.limit_presses)
 
 
-def _open_server(table: HandshakeTable, clock: Clock) -> HandshakeServer:
-    plugin = registry.handshake(table.plugin)
-    return plugin.open(plugin.Options.model_validate(table.options), clock)
-
-
 def _try_server(table: HandshakeTable) -> str:
     """Take the port, and free it. Errors: ConfigError."""
-    server = _open_server(table, SystemClock())
+    server: HandshakeServer = table.opener(registry.handshake(table.plugin), SystemClock())()
     name = server.name
     server.close()
     return name

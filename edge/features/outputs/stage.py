@@ -71,7 +71,7 @@ class Outputs(PressStage):
         }
         outputs.drivers = [
             ActuatorDriver(
-                _open_later(registry.actuator(table.plugin), table, parts.clock),
+                table.opener(registry.actuator(table.plugin), parts.clock),
                 [output.rule() for output in table.outputs],
                 parts.clock,
                 partial(outputs.note_fault, "actuator", name),
@@ -82,7 +82,7 @@ class Outputs(PressStage):
         ]
         outputs.readers = [
             TriggerReader(
-                _open_later(registry.trigger(table.plugin), table, parts.clock),
+                table.opener(registry.trigger(table.plugin), parts.clock),
                 parts.clock,
                 actions[table.action],
                 partial(outputs.note_fault, "trigger_device", name),
@@ -208,11 +208,6 @@ class Outputs(PressStage):
         if press.shown is not None:
             for driver in self.drivers:
                 driver.pulse(press.shown, judged_ns)
-
-
-def _open_later(plugin: Any, table: PluginTable, clock: Clock) -> Callable[[], Any]:
-    """Check the options now, and open the device when it is called. Errors: ConfigError."""
-    return partial(plugin.open, plugin.Options.model_validate(table.options), clock)
 
 
 def describe_actuator(table: ActuatorTable) -> str:
