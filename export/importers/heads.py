@@ -17,7 +17,7 @@ from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT, HalvedBank
 from plugins.detectors.common.descriptor import Descriptor
 from plugins.detectors.common.embedding import Embedding
 from plugins.detectors.common.smoothing import Border, Upsampling, smoothing_matrix, upsampling_matrix
-from plugins.detectors.padim.head import emit_squared
+from plugins.detectors.padim.fit import emit_squared
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["Framing", "MapSteps", "dfkde_head", "dfm_head", "padim_head", "patchcore_head"]

@@ -20,8 +20,7 @@ from plugins.devices.uvc.identity import SensorOnBus, choose, discover
 from plugins.devices.uvc.libusb import LibusbBackend, get_backend
 from plugins.devices.uvc.lock import SensorLock
 from plugins.devices.v4l2.controls import pin_v4l2_controls
-from plugins.devices.v4l2.nodes import capture_node
-from plugins.devices.v4l2.sensor import V4l2Sensor, open_capture
+from plugins.devices.v4l2.sensor import V4l2Sensor, capture_node, open_capture
 
 __all__ = ["GelsightMini", "GelsightMiniOptions", "plugin"]
 

@@ -11,8 +11,7 @@ from pydantic import BaseModel, Field
 from edge.core.errors import DeviceNotFound
 from edge.core.plugins import DevicePlugin
 from edge.core.ports import Clock, Device, DeviceIdentity, DiscoveredDevice
-from plugins.devices.v4l2.nodes import VideoNode, video_nodes
-from plugins.devices.v4l2.sensor import V4l2Sensor, open_capture
+from plugins.devices.v4l2.sensor import V4l2Sensor, VideoNode, open_capture, video_nodes
 
 __all__ = ["UsbCamera", "UsbCameraOptions", "choose", "discovered", "plugin"]
 

@@ -12,8 +12,7 @@ from edge.clock import ManualClock
 from edge.core.errors import DeviceBusy, DeviceLost, DeviceNotFound, DeviceStalled, FrameCorrupt
 from edge.core.ports import Device, DeviceIdentity
 from plugins.devices.v4l2.controls import control_ids, control_name, pin_v4l2_controls
-from plugins.devices.v4l2.nodes import capture_node, video_nodes
-from plugins.devices.v4l2.sensor import V4l2Sensor, open_capture
+from plugins.devices.v4l2.sensor import V4l2Sensor, capture_node, open_capture, video_nodes
 
 IDENTITY = DeviceIdentity(PRODUCT, SERIAL, (64, 48), 25.0)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from edge.core.errors import DeviceNotFound
-from plugins.devices.v4l2.nodes import VideoNode
+from plugins.devices.v4l2.sensor import VideoNode
 from plugins.overviews.usb_camera import choose, discovered
 
 WEBCAM = VideoNode(Path("/dev/video0"), "HD Webcam: HD Webcam", 0, "HD Webcam", "SN0001")

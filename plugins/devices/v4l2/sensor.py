@@ -3,23 +3,89 @@
 Ref: OpenCV modules/videoio/src/cap_v4l.cpp. Seen with a virtual camera on Linux 6.1 and OpenCV 5.0: with the colour
 conversion off, `read` gives the JPEG as (1, n) uint8; after an unplug, `read` gives False at once and for ever while
 `isOpened` stays true. So the first False ends this stream.
+
+Ref: Documentation/ABI/testing/sysfs-class-video4linux. A UVC camera has two nodes under one name: index 0 captures,
+index 1 carries metadata and cannot stream. Node numbers change on every re-plug, the by-id link does not.
 """
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from edge.core.errors import DeviceBusy, DeviceLost, DeviceStalled, FrameCorrupt
+from edge.core.errors import DeviceBusy, DeviceLost, DeviceNotFound, DeviceStalled, FrameCorrupt
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import Freshness, damage, kind, picture_size
 from edge.core.ports import Clock, DeviceIdentity
 from edge.core.sentence import Sentence
 
-__all__ = ["V4l2Sensor", "open_capture"]
+__all__ = ["V4l2Sensor", "VideoNode", "capture_node", "open_capture", "video_nodes"]
 
 # OpenCV waits ten seconds for a frame by default; a sensor without a frame for three seconds is opened again.
 _SELECT_TIMEOUT = ("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "3")
+
+
+@dataclass(frozen=True)
+class VideoNode:
+    """A video node and the USB device behind it. `path` is the by-id link where there is one."""
+
+    path: Path
+    name: str
+    index: int
+    product: str
+    serial: str
+
+
+def video_nodes(sysfs: Path = Path("/sys"), dev: Path = Path("/dev")) -> list[VideoNode]:
+    """Every V4L2 node of a USB device, in the order of its number."""
+    nodes = sorted(
+        (sysfs / "class/video4linux").glob("video*"), key=lambda node: int(node.name.removeprefix("video"))
+    )
+    return [_node(node, dev) for node in nodes if _usb_device(node) is not None]
+
+
+def capture_node(serial: str, sysfs: Path = Path("/sys"), dev: Path = Path("/dev")) -> VideoNode:
+    """The capture node of the sensor with that serial. Errors: DeviceNotFound with the nodes that exist."""
+    nodes = video_nodes(sysfs, dev)
+    for node in nodes:
+        if node.serial == serial and node.index == 0:
+            return node
+    seen = ", ".join(f"{node.path} ({node.product} {node.serial}, index {node.index})" for node in nodes)
+    raise DeviceNotFound(
+        f"the sensor {serial} is on the bus but has no capture node; seen: {seen or 'no video node'}; "
+        "check that the kernel module uvcvideo is loaded and that no other program streams over libusb"
+    )
+
+
+def _usb_device(node: Path) -> Path | None:
+    """The USB device's folder: the parent of the interface that `device` links to."""
+    interface = (node / "device").resolve()
+    return interface.parent if (interface.parent / "idVendor").is_file() else None
+
+
+def _node(node: Path, dev: Path) -> VideoNode:
+    usb = _usb_device(node) or node
+    path = dev / node.name
+    return VideoNode(
+        _by_id(path, dev) or path,
+        _text(node / "name"),
+        int(_text(node / "index") or 0),
+        _text(usb / "product"),
+        _text(usb / "serial"),
+    )
+
+
+def _by_id(path: Path, dev: Path) -> Path | None:
+    links = sorted((dev / "v4l/by-id").glob("*"))
+    return next((link for link in links if link.resolve() == path.resolve()), None)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""
 
 
 def open_capture(node: Path, mode: tuple[int, int]) -> Any:

@@ -17,7 +17,7 @@ from edge.core.errors import DeviceBusy, DeviceLost, FrameCorrupt  # noqa: E402
 from edge.core.imaging.known_profiles import MINI_CONTROLS  # noqa: E402
 from edge.core.ports import Device, DeviceIdentity  # noqa: E402
 from plugins.devices.gelsight_mini import GelsightMiniOptions, plugin  # noqa: E402
-from plugins.devices.v4l2.nodes import video_nodes  # noqa: E402
+from plugins.devices.v4l2.sensor import video_nodes  # noqa: E402
 from plugins.devices.virtual.camera import VirtualCamera  # noqa: E402
 from plugins.devices.virtual.descriptors import Board  # noqa: E402
 
