@@ -87,7 +87,7 @@ def _heights(
 ) -> None:
     from calibration.folders import write_atomically
     from calibration.sensor_fit.heights import calibrate_heights
-    from edge.heights.calibration_file import write_calibration
+    from edge.heights.files import write_calibration
 
     made = calibrate_heights(presses, output.stem, ball_radius_mm, mm_per_px, serial, say)
     _say_heights(made, ball_radius_mm)

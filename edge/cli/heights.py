@@ -112,7 +112,7 @@ def _find_calibration(named: Path | None, config: Path, *, is_needed: bool) -> "
     """
     from edge.config import load_config
     from edge.core.errors import ConfigError
-    from edge.heights.calibration_file import read_calibration
+    from edge.heights.files import read_calibration
 
     path = named or (load_config(config).gel.heights if config.exists() else None)
     if path is None and is_needed:

@@ -8,7 +8,7 @@ import typer
 from pydantic import ValidationError
 
 from edge.clock import SystemClock
-from edge.config.secret_file import read_secret
+from edge.config.loading import read_secret
 from edge.core.errors import ConfigError
 from edge.core.sentence import Sentence
 from edge.core.sink_context import PageRequests

@@ -19,8 +19,7 @@ from edge.config.feature_tables import ReferenceTable
 from edge.core.errors import ConfigError, GelgateError
 from edge.core.ports import Clock
 from edge.core.printable import printable, score_texts, write_count
-from edge.core.reference_press.charts import Chart, ReferencePress, charts, judge
-from edge.core.reference_press.control_chart import MEASURES
+from edge.core.reference_press.charts import MEASURES, Chart, ReferencePress, charts, judge
 from edge.core.reference_press.outcome import Outcome
 from edge.messaging.payload_base import iso_time
 from edge.messaging.reference_message import describe_chart

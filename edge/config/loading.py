@@ -1,5 +1,6 @@
 """A TOML file to a `Config`: every fault of it in one report, every path made relative to the file."""
 
+import errno
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +16,7 @@ from edge.core.errors import ConfigError
 from edge.core.plugins import HasIdentity
 from edge.validation_messages import numbered, sentences, types_in
 
-__all__ = ["load_config", "root_options", "sink_names"]
+__all__ = ["load_config", "read_secret", "root_options", "sink_names"]
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -136,3 +137,22 @@ def root_options(folder: Path, model: type[BaseModel], options: Mapping[str, Any
         elif inner is not None and isinstance(value, dict):
             rooted[name] = root_options(folder, inner, value)
     return rooted
+
+
+def read_secret(path: Path, key: str, shortest: int) -> bytes:
+    """The secret without blanks around it, at least `shortest` bytes. key: of the configuration, such as
+    `commands.secret_file`. Errors: ConfigError; none holds the secret."""
+    try:
+        if path.is_fifo():  # reading would wait for its writer
+            raise OSError(errno.EINVAL, "it is a pipe, expected a file")
+        secret = path.read_bytes().strip()
+        rights = path.stat().st_mode
+    except OSError as error:
+        raise ConfigError(
+            f"{key}: {path} cannot be read ({error.strerror}); make one with `head -c 32 /dev/urandom | base64`"
+        ) from error
+    if rights & 0o007:
+        raise ConfigError(f"{key}: {path} is open to every user; set its rights to 0640")
+    if len(secret) < shortest:
+        raise ConfigError(f"{key}: {path} holds {len(secret)} bytes, at least {shortest} are needed")
+    return secret

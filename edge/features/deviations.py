@@ -9,7 +9,7 @@ from edge.config import Config
 from edge.core.defects import find_defects
 from edge.core.press import Press
 from edge.core.verdict import Kind
-from edge.heights.calibration_file import read_calibration
+from edge.heights.files import read_calibration
 from edge.messaging.result_payload import MOST_DEFECTS
 from edge.model.bundle import Bundle
 from edge.model.deviations import DeviationMeter

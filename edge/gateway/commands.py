@@ -14,7 +14,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from edge.config import Config
-from edge.config.secret_file import read_secret
+from edge.config.loading import read_secret
 from edge.core.errors import GelgateError, StoreError
 from edge.core.ports import Clock
 from edge.core.rate import Rate

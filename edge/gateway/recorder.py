@@ -37,8 +37,7 @@ from edge.model.bundle import Bundle
 from edge.model.comparison import compare_press, outline_regions
 from edge.model.inspector import Inspector
 from edge.pictures.image_file import PictureForm
-from edge.pictures.press_picture import PressCaption, encode_press
-from edge.pictures.score_map import encode_scores
+from edge.pictures.press_picture import PressCaption, encode_press, encode_scores
 from edge.press_stage import OwnTable, PressStage
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_archive import ArchiveFolder

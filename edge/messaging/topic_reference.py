@@ -15,8 +15,7 @@ from edge.messaging.descriptions.station import DescribedCommand
 from edge.messaging.payload_base import Payload
 from edge.messaging.topics import TOPICS
 from edge.pictures.heatmap import FULL_SCALE
-from edge.pictures.press_picture import LARGEST_BYTES, TEXT_KEYWORDS
-from edge.pictures.score_map import CELL, SCALE_KEYWORDS
+from edge.pictures.press_picture import CELL, LARGEST_BYTES, SCALE_KEYWORDS, TEXT_KEYWORDS
 
 __all__ = ["reference"]
 

@@ -7,7 +7,7 @@ from typing import Annotated, Final, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
-from edge.config.secret_file import read_secret
+from edge.config.loading import read_secret
 from edge.core.errors import ConfigError
 from edge.page.access import Access
 

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from typing import Final
 from xml.sax.saxutils import escape
 
-from edge.core.reference_press.charts import Chart
-from edge.core.reference_press.control_chart import Limits, signals
+from edge.core.reference_press.charts import Chart, Limits, signals
 from edge.core.reference_press.outcome import Signal
 
 __all__ = ["control_charts_svg"]

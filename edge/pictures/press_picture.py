@@ -2,7 +2,8 @@
 
 The press is not covered: only the contour of the threshold is drawn on it, around a defect. Below stand what it was
 compared with, and the difference, where that is given. Verdict, score, scale in mm and the names of the press are
-written around the panels. Texts in the file hold the same facts, so that a saved picture is complete.
+written around the panels. Texts in the file hold the same facts, so that a saved picture is complete. For programs
+`encode_scores` writes the scores alone.
 """
 
 from collections.abc import Sequence
@@ -18,7 +19,17 @@ from edge.pictures.heatmap import FULL_SCALE, draw_contour, paint_scores, relati
 from edge.pictures.image_file import PictureForm, encode, encode_jpeg
 from edge.pictures.nominal_pictures import Compared
 
-__all__ = ["LARGEST_BYTES", "TEXT_KEYWORDS", "Outline", "PressCaption", "draw_press", "encode_press"]
+__all__ = [
+    "CELL",
+    "LARGEST_BYTES",
+    "SCALE_KEYWORDS",
+    "TEXT_KEYWORDS",
+    "Outline",
+    "PressCaption",
+    "draw_press",
+    "encode_press",
+    "encode_scores",
+]
 
 # The longest side of one panel in pixels. Small regions are enlarged by a whole number, large ones shrunk.
 _SMALLEST_PANEL: Final = 384
@@ -261,3 +272,32 @@ def _write(picture: U8, text: str, x: int, y: int, scale: float) -> None:
     """OpenCV draws ASCII letters only; others become question marks on the picture. The text chunks keep them."""
     plain = text.encode("ascii", "replace").decode()
     cv2.putText(picture, plain, (x, y), cv2.FONT_HERSHEY_SIMPLEX, scale, _INK, 1, cv2.LINE_AA)
+
+
+CELL: Final = 4
+"""Pixels along a side: the stride of the finest grid of the shipped trunks. Finer values would be interpolated."""
+
+SCALE_KEYWORDS: Final = ("zero", "step", "cell_px")
+"""The texts beside those of the caption."""
+
+_STEPS: Final = np.iinfo(np.uint16).max
+
+
+def encode_scores(score_map: NDArray[np.floating], caption: PressCaption) -> bytes:
+    """Write raw scores (h, w) as PNG, uint16 (ceil(h / CELL), ceil(w / CELL)), with their scale as text. `mm_per_pixel`
+    is that of a cell.
+
+    A value v stands for the score `zero + step v`, within half a step: the largest in a cell of CELL x CELL pixels, so
+    that no place above the threshold is lost. Errors: ValueError for a map that is not finite.
+    """
+    if score_map.ndim != 2 or not np.isfinite(score_map).all():
+        raise ValueError(f"a score map is finite and (h, w), found {score_map.shape}, some not finite")
+    rows, columns = (np.arange(0, side, CELL) for side in score_map.shape)
+    cells = np.maximum.reduceat(np.maximum.reduceat(score_map, rows, axis=0), columns, axis=1)
+    zero = float(cells.min())
+    step = (float(cells.max()) - zero) / _STEPS
+    levels = (cells.astype(np.float64) - zero) / step if step > 0 else np.zeros(cells.shape)
+    x, y = caption.mm_per_pixel
+    scale = {"zero": f"{zero:.17g}", "step": f"{step:.17g}", "cell_px": str(CELL)}
+    texts = {**caption._replace(mm_per_pixel=(x * CELL, y * CELL)).texts(), **scale}
+    return encode(np.rint(levels).astype(np.uint16), texts)

@@ -14,7 +14,7 @@ import pytest
 from command_line import Outcome, gelgate
 from lit_surface import MM_PER_PX, calibration, free_gel, grid, light
 
-from edge.heights.calibration_file import read_calibration, write_calibration
+from edge.heights.files import read_calibration, write_calibration
 from edge.pictures.image_file import texts
 from edge.recording.format import RecordingHeader, RecordingWriter
 

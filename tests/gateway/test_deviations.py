@@ -16,7 +16,7 @@ from edge.core.heights.calibration import CELLS, HeightCalibration
 from edge.core.heights.height_map import free_picture
 from edge.core.imaging.sensor_check import colour_cells
 from edge.gateway.pictures import Pictures
-from edge.heights.calibration_file import write_calibration
+from edge.heights.files import write_calibration
 from edge.messaging.result_payload import PressFiles
 from edge.model.bundle import Bundle
 from edge.pictures.image_file import texts

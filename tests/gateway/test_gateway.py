@@ -190,11 +190,9 @@ with open_station(load_config(Path({str(config)!r})), SystemClock()):
 
     assert {"edge.model.scorer", "plugins.devices.gelsight_mini"} <= loaded
     assert not loaded & {
-        "edge.core.overview.codes",
         "edge.core.overview.rules",
         "edge.core.press_again",
         "edge.core.reference_press.charts",
-        "edge.core.reference_press.control_chart",
         "edge.core.registration.registrar",
         "edge.model.detectability",
         "edge.model.graph_cut",

@@ -17,8 +17,7 @@ from edge.clock import ManualClock
 from edge.core.errors import DeviceLost, FrameCorrupt, RecordingEnded
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import picture_size, with_comment
-from edge.core.overview.codes import read_codes
-from edge.core.overview.rules import OverviewRules
+from edge.core.overview.rules import OverviewRules, read_codes
 from edge.core.part_position import PartPosition
 from edge.core.ports import DeviceIdentity
 from edge.core.press import Press

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from edge.clock import ManualClock
-from edge.core.overview.codes import read_codes
-from edge.core.overview.rules import share_of_change
+from edge.core.overview.rules import read_codes, share_of_change
 from edge.core.overview.view import Code
 from plugins.overviews.virtual_overview import VirtualOverviewOptions, plugin
 

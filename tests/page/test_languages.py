@@ -18,7 +18,7 @@ from edge.core.drawn_regions import RegionKind
 from edge.core.drift import MEASURES
 from edge.core.gel_life import GelState
 from edge.core.imaging.quality import Reason
-from edge.core.reference_press.control_chart import MEASURES as CHARTED
+from edge.core.reference_press.charts import MEASURES as CHARTED
 from edge.core.verdict import Cause, Kind
 from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.status_payloads import StatePayload

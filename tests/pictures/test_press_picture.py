@@ -5,8 +5,16 @@ import numpy as np
 import pytest
 
 from edge.pictures.image_file import PictureForm, content_type, encode, texts
-from edge.pictures.press_picture import LARGEST_BYTES, TEXT_KEYWORDS, PressCaption, draw_press, encode_press
-from edge.pictures.score_map import CELL, SCALE_KEYWORDS, encode_scores
+from edge.pictures.press_picture import (
+    CELL,
+    LARGEST_BYTES,
+    SCALE_KEYWORDS,
+    TEXT_KEYWORDS,
+    PressCaption,
+    draw_press,
+    encode_press,
+    encode_scores,
+)
 
 CAPTION = PressCaption(
     press_id="01ARZ3NDEKTSV4RRFFQ69G5FAV",

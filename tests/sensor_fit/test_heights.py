@@ -11,7 +11,7 @@ from command_line import gelgate
 from calibration.sensor_fit.ball import Ball, ball_height
 from calibration.simulator.field_of_view import LR, grids
 from edge.core.heights.height_map import measure_heights
-from edge.heights.calibration_file import read_calibration
+from edge.heights.files import read_calibration
 
 # A ball of another size, where none was pressed at calibration.
 _OTHER_MM, _AT = 3.0, Ball(-2.5, 1.0, 0.35)

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from overview_stills import blank, encoded, with_data_matrix, with_qr, with_tag
 
 from edge.core.imaging.quality import Reason
-from edge.core.overview.codes import read_codes
-from edge.core.overview.rules import OverviewRules, share_of_change
+from edge.core.overview.rules import OverviewRules, read_codes, share_of_change
 from edge.core.overview.view import Code, CodeKind, OverviewView, Zone
 from edge.core.part_position import PartPosition
 from edge.extras import is_installed

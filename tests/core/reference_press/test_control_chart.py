@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge.core.reference_press.control_chart import Limits, signals
+from edge.core.reference_press.charts import Limits, signals
 from edge.core.reference_press.outcome import Signal
 
 # NIST/SEMATECH e-Handbook of Statistical Methods, section 6.3.2.2: flow rates of ten batches.
