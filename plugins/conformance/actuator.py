@@ -16,15 +16,12 @@ class ActuatorBench(Protocol):
 
     def open(self) -> Actuator:
         """The actuator, opened by its plugin."""
-        ...
 
     def outputs(self) -> Sequence[bool]:
         """The levels at its terminals, from channel 1 on."""
-        ...
 
     def unplug(self) -> None:
         """Remove it, as a pulled cable does."""
-        ...
 
 
 def check_actuator(make_bench: Callable[[], ActuatorBench]) -> None:

@@ -23,15 +23,12 @@ class DeviceBench(Protocol):
     @property
     def clock(self) -> Clock:
         """The clock that the device was opened with."""
-        ...
 
     def open(self, payloads: Sequence[bytes], *, real_time: bool = False) -> Device:
         """The device, ready to deliver these JPEG frames: each on request, or one per PERIOD_S."""
-        ...
 
     def unplug(self) -> None:
         """Remove the source of the device, as a pulled cable does."""
-        ...
 
 
 @cache

@@ -36,13 +36,11 @@ class PlcClient(Protocol):
 
     def trigger(self, trigger: Trigger) -> bool:
         """Ask for it; False where the server refuses."""
-        ...
 
     def acknowledge(self) -> bool: ...
 
     def beat(self) -> None:
         """Give a sign of life, at least one."""
-        ...
 
     def read(self) -> Seen: ...
 
@@ -54,11 +52,9 @@ class HandshakeBench(Protocol):
 
     def open(self) -> HandshakeServer:
         """The server, opened by its plugin; once."""
-        ...
 
     def connect(self) -> PlcClient:
         """A client. Errors: any, where nothing is served."""
-        ...
 
 
 class _Scripted:

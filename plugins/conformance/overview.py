@@ -19,11 +19,9 @@ class OverviewBench(Protocol):
     @property
     def clock(self) -> Clock:
         """The clock that the camera was opened with."""
-        ...
 
     def open(self) -> Device:
         """The camera, ready to give at least three pictures."""
-        ...
 
 
 def check_overview(make_bench: Callable[[], OverviewBench]) -> None:

@@ -28,27 +28,21 @@ class SinkBench(Protocol):
 
     def open(self, station: Station) -> Sink:
         """The sink, opened by its plugin."""
-        ...
 
     def received(self, n: int) -> Sequence[tuple[str, bytes]]:
         """The first n messages at the receiver, after waiting for them: (full topic, payload)."""
-        ...
 
     def take_away(self) -> bool:
         """Make the receiver unreachable; False if that is not possible."""
-        ...
 
     def bring_back(self) -> None:
         """Make it reachable again."""
-        ...
 
     def wait(self) -> None:
         """Wait as long as a retry needs."""
-        ...
 
     def unwanted(self) -> Message | None:
         """A message that this receiver refuses, None if it takes everything."""
-        ...
 
 
 @runtime_checkable
@@ -57,7 +51,6 @@ class Translates(Protocol):
 
     def arrives(self, topic: str, message: Message) -> tuple[str, bytes] | None:
         """Return what the receiver has of a message, (topic, payload), None for nothing; topic: the full one."""
-        ...
 
 
 def check_sink(make_bench: Callable[[], SinkBench]) -> None:

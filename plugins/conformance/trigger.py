@@ -20,23 +20,18 @@ class TriggerBench(Protocol):
     @property
     def clock(self) -> Clock:
         """The clock that the trigger was opened with."""
-        ...
 
     def open(self) -> Trigger:
         """The trigger, released, opened by its plugin."""
-        ...
 
     def press(self) -> None:
         """Push it down; the next read sees it."""
-        ...
 
     def release(self) -> None:
         """Let it go; the next read sees it."""
-        ...
 
     def unplug(self) -> None:
         """Remove it, as a pulled cable does."""
-        ...
 
 
 def check_trigger(make_bench: Callable[[], TriggerBench]) -> None:

@@ -49,15 +49,12 @@ class HidHandle(Protocol):
 
     def read(self, most: int, timeout_s: float) -> bytes:
         """Read an input report, empty when none came in time."""
-        ...
 
     def send_feature(self, report: bytes) -> None:
         """The first byte is the report id, 0 where the device has none."""
-        ...
 
     def get_feature(self, report_id: int, most: int) -> bytes:
         """The report, with its id first."""
-        ...
 
     def close(self) -> None: ...
 
@@ -67,11 +64,9 @@ class HidBus(Protocol):
 
     def enumerate(self) -> Sequence[HidInfo]:
         """Every HID interface, in a fixed order."""
-        ...
 
     def open(self, info: HidInfo) -> HidHandle:
         """Open an interface. Errors: DeviceBusy without the rights to it, DeviceLost."""
-        ...
 
 
 class HidPort:

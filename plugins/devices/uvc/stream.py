@@ -50,7 +50,6 @@ class PacketStream(Protocol):
 
     def read(self, timeout_ms: int) -> list[Packet]:
         """The next packets. Errors: usb.core.USBTimeoutError, usb.core.USBError (errno 19 when unplugged)."""
-        ...
 
     def close(self) -> None: ...
 
