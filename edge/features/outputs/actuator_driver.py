@@ -7,7 +7,7 @@ a sign of life from the loop the outputs go to those of the state `halted`.
 import random
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -17,9 +17,8 @@ from edge.core.errors import DeviceError
 from edge.core.ports import Clock
 from edge.core.sentence import Sentence, join_sentences
 from edge.features.outputs.connection import FIRST_PAUSE_S, LONGEST_PAUSE_S, Connection, OnFault
-from edge.features.outputs.rules import levels, next_blink_ns
 
-__all__ = ["ActuatorDriver"]
+__all__ = ["ActuatorDriver", "levels", "next_blink_ns"]
 
 _LONGEST_WAIT_NS: Final = 250_000_000
 
@@ -237,3 +236,21 @@ class ActuatorDriver:
 def _after(pulse: _Pulse, now_ns: int) -> str:
     late_ms = (now_ns - pulse.start_by_ns) / 1e6
     return Sentence(f"{late_ms:.0f} ms after its deadline")
+
+
+def levels(rules: Sequence[OutputRule], view: StationView, now_ns: int) -> Mapping[int, bool]:
+    """Channel to level, without pulses. A channel of several rules is on where one of them switches it on."""
+    conditions = view.conditions()
+    found = {rule.channel: False for rule in rules}
+    for rule in rules:
+        if rule.pulse_ns is None:
+            is_lit = rule.blink_ns is None or now_ns // rule.blink_ns % 2 == 0
+            is_on = is_lit if rule.when & conditions else rule.safe and view.state != "ready"
+            found[rule.channel] |= is_on
+    return found
+
+
+def next_blink_ns(rules: Iterable[OutputRule], now_ns: int) -> int | None:
+    """When the next output that blinks changes; None where none does."""
+    periods = {rule.blink_ns for rule in rules if rule.blink_ns is not None}
+    return min(((now_ns // period + 1) * period for period in periods), default=None)

@@ -9,12 +9,34 @@ from edge.core.backoff import Backoff
 from edge.core.digital_io import Trigger
 from edge.core.ports import Clock
 from edge.features.outputs.connection import FIRST_PAUSE_S, LONGEST_PAUSE_S, Connection, OnFault
-from edge.features.outputs.rules import Debounce
 
-__all__ = ["TriggerReader"]
+__all__ = ["Debounce", "TriggerReader"]
 
 # Reads are this short, so that closing does not wait, and presence is polled in time.
 _LONGEST_READ_NS: Final = 250_000_000
+
+
+class Debounce:
+    """From the changes of a contact to presses: down for `hold_ns`, then up for `hold_ns` before the next one."""
+
+    def __init__(self, hold_ns: int) -> None:
+        self._hold_ns = hold_ns
+        self._is_down = False
+        self._since_ns = 0
+        self._has_fired = False
+
+    def step(self, change: bool | None, now_ns: int) -> bool:
+        """True once for each press."""
+        if change is not None and change != self._is_down:
+            self._is_down, self._since_ns = change, now_ns
+        if self._is_down == self._has_fired or now_ns - self._since_ns < self._hold_ns:
+            return False
+        self._has_fired = self._is_down
+        return self._is_down
+
+    def due_ns(self) -> int | None:
+        """When `step` must be called again although nothing changes; None where only a change matters."""
+        return None if self._is_down == self._has_fired else self._since_ns + self._hold_ns
 
 
 class TriggerReader:

@@ -3,7 +3,8 @@
 import pytest
 
 from edge.core.digital_io import OutputRule, StationView
-from edge.features.outputs.rules import Debounce, levels, next_blink_ns
+from edge.features.outputs.actuator_driver import levels, next_blink_ns
+from edge.features.outputs.trigger_reader import Debounce
 
 MS = 1_000_000
 GREEN = OutputRule(1, frozenset({"pass"}))
