@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import ClassVar, Final, NamedTuple
+from typing import Final, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from edge.core.errors import ConfigError
@@ -62,25 +62,20 @@ def find_file(folder: Path, path: str) -> ManualFile | None:
     return ManualFile(kind, content, policy)
 
 
-class _ManualHandler(HttpHandler):
-    folder: ClassVar[Path]
-
-    def do_GET(self) -> None:
-        found = find_file(self.folder, urlsplit(self.path).path.removeprefix("/"))
-        if found is None:
-            self.say(404, "there is no such page of the manual")
-        else:
-            self.answer(200, found.content_type, found.content, found.policy)
-
-
 @contextmanager
 def serve_manual(folder: Path, port: int, clock: Clock) -> Iterator[HttpServer]:
     """Serve it to browsers on this machine. Errors: ConfigError for a port in use."""
 
-    class Handler(_ManualHandler):
-        pass
+    class Handler(HttpHandler):
+        access = Access()
 
-    Handler.folder, Handler.access = folder, Access()
+        def do_GET(self) -> None:
+            found = find_file(folder, urlsplit(self.path).path.removeprefix("/"))
+            if found is None:
+                self.say(404, "there is no such page of the manual")
+            else:
+                self.answer(200, found.content_type, found.content, found.policy)
+
     try:
         server = HttpServer(("127.0.0.1", port), Handler, clock, "manual")
     except OSError as error:

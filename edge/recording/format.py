@@ -25,7 +25,7 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import kind
 from edge.core.ports import DeviceIdentity
 
-__all__ = ["DELIVERED_SHARE", "HEADER", "Recording", "RecordingHeader", "RecordingWriter"]
+__all__ = ["DELIVERED_SHARE", "HEADER", "Recording", "RecordingHeader", "RecordingWriter", "list_some"]
 
 VERSION = 1
 # Independent reports agree on 18.75 fps delivered where 25 are advertised (firmware_notes/gelsight_mini.md).
@@ -102,7 +102,7 @@ class Recording:
         missing = [entry.file for entry in entries if not (folder / entry.file).is_file()]
         if missing:
             raise RecordingError(
-                f"recording {folder} lacks {len(missing)} of its {len(entries)} frame files: {_some(missing)}"
+                f"recording {folder} lacks {len(missing)} of its {len(entries)} frame files: {list_some(missing)}"
             )
         return cls(folder, header, entries, is_cut=is_cut)
 
@@ -344,7 +344,9 @@ def _read_index(path: Path) -> tuple[tuple[_Entry, ...], bool]:
         except ValidationError as error:
             faults.append(f"line {number} ({_faults(error)})")
     if faults:
-        raise RecordingError(f"{path} has {len(faults)} lines that are not index entries: {_some(faults)}")
+        raise RecordingError(
+            f"{path} has {len(faults)} lines that are not index entries: {list_some(faults)}"
+        )
     _check_times(path, entries)
     return tuple(entries), bool(rest)
 
@@ -357,10 +359,11 @@ def _check_times(path: Path, entries: list[_Entry]) -> None:
     ]
     if backward:
         raise RecordingError(
-            f"{path} goes back in time or sequence at {_some(backward)}; frames are kept in order"
+            f"{path} goes back in time or sequence at {list_some(backward)}; frames are kept in order"
         )
 
 
-def _some(things: list[str]) -> str:
+def list_some(things: list[str]) -> str:
+    """List the first twenty, and count the others."""
     more = len(things) - _LISTED
     return ", ".join(things[:_LISTED]) + (f" and {more} more" if more > 0 else "")

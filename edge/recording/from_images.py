@@ -6,7 +6,6 @@ label of every copy says that it is one. Two options make copies playable. `numb
 file and changes no pixel; `noise` adds Gaussian noise of a given strength and seed and encodes the copy again.
 """
 
-import itertools
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,13 +14,12 @@ from pathlib import Path
 from edge.core.errors import DatasetError
 from edge.core.imaging.image_bytes import damage, kind, picture_size, with_comment
 from edge.core.imaging.quality import BLACK_LEVEL
-from edge.recording.format import DELIVERED_SHARE, RecordingHeader, RecordingWriter
+from edge.recording.format import DELIVERED_SHARE, RecordingHeader, RecordingWriter, list_some
 from edge.recording.from_video import VIDEO_SUFFIXES
 
 __all__ = ["PressLift", "images_in", "record_images"]
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png"})
-_LISTED = 20
 
 
 @dataclass(frozen=True)
@@ -112,14 +110,12 @@ def _add_shot(writer: RecordingWriter, shot: _Shot, plan: PressLift) -> None:
         label: dict[str, object] = {"state": shot.state, "source": shot.source.name, "copy": copy}
         if shot.press is not None:
             label["press"] = shot.press
-        payload = _copy(original, position, plan) if copy else original
+        payload = original
+        if copy and plan.noise_levels:
+            payload = _with_noise(original, plan, position)
+        elif copy and plan.number_copies:
+            payload = with_comment(original, f"gelgate copy, frame {position}")
         writer.add(payload, round(position * 1e9 / plan.fps), label)
-
-
-def _copy(original: bytes, position: int, plan: PressLift) -> bytes:
-    if plan.noise_levels:
-        return _with_noise(original, plan, position)
-    return with_comment(original, f"gelgate copy, frame {position}") if plan.number_copies else original
 
 
 def _with_noise(original: bytes, plan: PressLift, position: int) -> bytes:
@@ -154,9 +150,8 @@ def _common_size(images: Sequence[Path]) -> tuple[int, int]:
         if (w, h) != expected
     ]
     if faults:
-        more = f" and {len(faults) - _LISTED} more" if len(faults) > _LISTED else ""
         raise DatasetError(
-            f"{len(faults)} of {len(images)} images cannot be in one recording: {', '.join(faults[:_LISTED])}{more}"
+            f"{len(faults)} of {len(images)} images cannot be in one recording: {list_some(faults)}"
         )
     return expected
 
@@ -174,5 +169,5 @@ def _darkness(payload: bytes) -> str | None:
 
 def _natural(name: str) -> list[tuple[int, str]]:
     """press10 after press9."""
-    parts = re.split(r"(\d+)", name)
-    return list(itertools.starmap(lambda i, part: (int(part), "") if i % 2 else (-1, part), enumerate(parts)))
+    parts = enumerate(re.split(r"(\d+)", name))
+    return [(int(part), "") if i % 2 else (-1, part) for i, part in parts]

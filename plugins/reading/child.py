@@ -11,7 +11,7 @@ import os
 import resource
 import sys
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -143,12 +143,7 @@ def _empty(row: list[Any], at: int, out: Path) -> Any:
             return row[1]
 
 
-def _end() -> NoReturn:
-    name, out, *limits = sys.argv[1:]
-    main(Path(name), Path(out), *(int(limit) for limit in limits))
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]), *map(int, sys.argv[3:]))
     sys.stdout.flush()
     os._exit(0)
-
-
-if __name__ == "__main__":
-    _end()

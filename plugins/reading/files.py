@@ -4,6 +4,7 @@ import io
 import struct
 import zipfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,10 +82,6 @@ def read_flat_index(data: bytes) -> NDArray[Any]:
     return np.frombuffer(data, "<f4", rows * d, HEADER.size + 8).reshape(rows, d).astype(np.float32)
 
 
-def _read_npy(file: Any) -> Content:
-    return np.load(file, allow_pickle=False)
-
-
 def _read_npz(file: Any) -> Content:
     with zipfile.ZipFile(file) as archive:
         wide = [member for member in archive.infolist() if member.file_size > MOST_BYTES]
@@ -110,7 +107,7 @@ _READERS: dict[str, Callable[[Any], Content]] = {
     "PyTorch archive": read_archive,
     "older PyTorch file": read_stream,
     "pickle": read_pickle,
-    "NumPy array": _read_npy,
+    "NumPy array": partial(np.load, allow_pickle=False),
     "NumPy archive": _read_npz,
     "faiss index": lambda file: {"rows": read_flat_index(io.BufferedReader(file).read())},
 }

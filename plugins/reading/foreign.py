@@ -3,8 +3,9 @@
 A record is the name of a class with what the file keeps of an object; the class itself is never looked up.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -106,14 +107,10 @@ def describe(value: Content) -> str:
     if isinstance(value, np.ndarray):
         return f"an array {value.dtype} {value.shape}"
     if isinstance(value, dict):
-        return f"a table of {_some(iter(value))}" if value else "an empty table"
+        first = ", ".join(str(name)[:40] for name in islice(value, 5))
+        return f"a table of {first}" if value else "an empty table"
     if isinstance(value, list):
         return f"a list of {len(value)}"
     if isinstance(value, Record):
         return f"a {value.kind}"
     return "missing" if value is None else f"{type(value).__name__} {value!r:.40}"
-
-
-def _some(names: Iterator[Any]) -> str:
-    first = [str(name)[:40] for _, name in zip(range(5), names, strict=False)]
-    return ", ".join(first)

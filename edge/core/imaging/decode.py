@@ -50,21 +50,14 @@ def _crop(frame: CameraFrame, profile: SensorProfile, scale: int) -> NDArray[np.
     if frame.damage is not None:
         raise FrameCorrupt(f"frame {frame.sequence} is {frame.damage}; look for lost USB packets")
     if frame.size != profile.native:
+        fitting = ", ".join(one.name for one in PROFILES.values() if one.native == frame.size)
         raise FrameCorrupt(
             f"frame {frame.sequence} is {_size_text(frame.size)}, profile '{profile.name}' expects "
             f"{_size_text(profile.native)}; choose the profile of its camera with --profile: "
-            f"{_name_profiles(frame.size)}"
+            f"{fitting or 'none that ships is of this size'}"
         )
     left, top, right, bottom = _crop_box(profile, scale)
     return _reduce(frame, scale)[top:bottom, left:right]
-
-
-def _name_profiles(size: tuple[int, int] | None) -> str:
-    """Name the profiles for frames of this size."""
-    return (
-        ", ".join(one.name for one in PROFILES.values() if one.native == size)
-        or "none that ships is of this size"
-    )
 
 
 def _crop_box(profile: SensorProfile, scale: int) -> tuple[int, int, int, int]:

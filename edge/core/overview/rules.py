@@ -65,9 +65,7 @@ def _data_matrices(grey: NDArray[np.uint8]) -> list[Code]:
     return [Code("datamatrix", printable(one.text)[:MOST_LETTERS]) for one in barcodes if one.text]
 
 
-@cache
-def _qr_reader() -> Any:
-    return cv2.QRCodeDetector()
+_qr_reader = cache(cv2.QRCodeDetector)
 
 
 @cache
