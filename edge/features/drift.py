@@ -1,6 +1,5 @@
 """Drift of ordinary production: charts of the passing presses, and an alarm with what has shifted and what to do."""
 
-import logging
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final, Self
@@ -23,8 +22,6 @@ from edge.store.gel_files import GelFiles
 from edge.store.gel_ledger import GelRecord
 
 __all__ = ["DriftWatch"]
-
-log = logging.getLogger(__name__)
 
 # They are kept after this number of presses.
 _KEPT_EVERY: Final = 16

@@ -5,7 +5,6 @@ are one transaction. So a station that is killed goes on with the piece that was
 `edge.core.piece`.
 """
 
-import logging
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -34,8 +33,6 @@ from edge.store.gel_ledger import GelRecord
 from edge.store.ulid import new_ulid
 
 __all__ = ["BEGIN", "Pieces"]
-
-log = logging.getLogger(__name__)
 
 BEGIN: Final = "begin_piece"
 

@@ -87,7 +87,7 @@ class GoldenWatch:
 
 
 class PartSelection:
-    """The bundles of a station and the one in use.
+    """The bundles of a station and the one in use, a `Selection`.
 
     A change that is asked for during a press is made after it: a press is judged by the bundle with which it began.
     New bundles are opened in the background, by `open_bundles` from those in use. Those that fail leave the ones in use
@@ -121,43 +121,34 @@ class PartSelection:
 
     @property
     def inspector(self) -> Inspector:
-        """The inspector that judges presses now."""
         return self._in_use.inspector
 
     @property
     def part(self) -> PartPosition:
-        """The part and position inspected now."""
         return self._in_use.part
 
     @property
     def path(self) -> Path:
-        """Where the bundle in use was opened from."""
         return self._in_use.path
 
     @property
     def is_waiting(self) -> bool:
-        """True while another bundle is selected and waits for the end of a press."""
         return self.bundles[self._wanted].inspector is not self.inspector
 
     @property
     def shadow(self) -> Inspector | None:
-        """The bundle that is scored beside the one in use, and decides nothing."""
         shadow = self.bundles.shadows.get(self.part)
         return None if shadow is None or self.is_waiting else shadow.inspector
 
     @property
     def shadow_faults(self) -> tuple[str, ...]:
-        """Why configured shadows are not scored."""
         return self.bundles.shadow_faults
 
     @property
     def instead_of(self) -> str | None:
-        """The id of the configured bundle whose place the one in use has taken."""
         return self._in_use.instead_of
 
     def exchange(self, why: Act) -> None:
-        """Inspect with the shadow of the one in use from now on, which is its shadow then. Only while nothing is
-        pressed. Errors: StoreError; then nothing has changed."""
         before = self.bundles
         self.bundles, self._why = before.exchange(self.part), why
         try:
@@ -169,7 +160,6 @@ class PartSelection:
         self.on_change()
 
     def find_all(self, name: str) -> frozenset[PartPosition]:
-        """Return all positions that this name may mean."""
         return self.bundles.find_all(name)
 
     def select(self, part: PartPosition, why: Act | None = None, *, is_pressed: bool) -> None:
@@ -188,7 +178,6 @@ class PartSelection:
         self.worker.start()
 
     def reload(self) -> None:
-        """Open the configured bundles again, while presses are judged as before."""
         self.worker.ask(self._open_again)
 
     def step(self, *, is_pressed: bool) -> None:

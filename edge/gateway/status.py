@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 
 
 class StationStatus:
-    """Makes messages of the current status for `announce`, which sends only changes."""
+    """Makes messages of the current status for `announce`, which sends only changes; the `Alarms` of all stages."""
 
     def __init__(self, announce: Callable[[Message], object], clock: Clock) -> None:
         self.announce = announce
@@ -181,18 +181,15 @@ class StationStatus:
         self.say("gel", over)
 
     def set_unproven(self, sentence: Sentence | None) -> None:
-        """Show in the state why the bundle in use is not yet proven on the mounted gel, None where it is."""
         with self._lock:
             self._unproven = sentence
             self._say_state()
 
     def show_contact(self, contact: ContactState) -> None:
-        """Take what the contact is now."""
         with self._lock:
             self._contact = contact
 
     def show_piece(self, piece_id: str | None) -> None:
-        """Show which piece of several places is in progress."""
         with self._lock:
             self._piece_id = piece_id
 
