@@ -1,4 +1,4 @@
-"""FAPM: what can be set (parameters.py), the bank (fit.py), the graph (head.py), as published (paper.py)."""
+"""FAPM: what can be set (parameters.py), the bank and the graph (fit.py), as published (paper.py)."""
 
 from plugins.detectors.fapm.fit import fapm
 from plugins.detectors.fapm.parameters import FapmParameters

@@ -1,4 +1,4 @@
-"""PaDiM: what can be set (parameters.py), the bank (fit.py), the graph (head.py), as published (paper.py)."""
+"""PaDiM: what can be set (parameters.py), the bank and the graph (fit.py), as published (paper.py)."""
 
 from plugins.detectors.padim.fit import padim
 from plugins.detectors.padim.parameters import PadimParameters

@@ -16,7 +16,6 @@ from plugins.devices.uvc.uvc import CLASS_VIDEO, GET_CUR, REQUEST_GET, REQUEST_S
 __all__ = [
     "NEW_NAMES",
     "UvcControl",
-    "in_setting_order",
     "pin",
     "pin_uvc_controls",
     "report_unset",
@@ -72,13 +71,6 @@ def uvc_control(name: str) -> UvcControl | None:
     return _UVC.get(NEW_NAMES.get(name, name))
 
 
-def in_setting_order(controls: Mapping[str, int]) -> list[tuple[str, int]]:
-    """Automatic controls first, the others by name."""
-    return sorted(
-        controls.items(), key=lambda item: (NEW_NAMES.get(item[0], item[0]) not in _AUTOMATICS, item[0])
-    )
-
-
 def pin(
     controls: Mapping[str, int], set_value: Callable[[str, int], None], get_value: Callable[[str], int]
 ) -> dict[str, str]:
@@ -87,7 +79,8 @@ def pin(
     `set_value` and `get_value` raise OSError (a USBError is one) or KeyError for a control that is not there.
     """
     unset: dict[str, str] = {}
-    for name, value in in_setting_order(controls):
+    for name in sorted(controls, key=lambda name: (NEW_NAMES.get(name, name) not in _AUTOMATICS, name)):
+        value = controls[name]
         try:
             set_value(name, value)
         except KeyError:

@@ -8,24 +8,24 @@ import fcntl
 import os
 import re
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 from edge.core.errors import DeviceBusy
 
-__all__ = ["SensorLock", "lock_folder"]
+__all__ = ["SensorLock"]
 
-
-def lock_folder() -> Path:
-    """/run/lock where it is usable (shared by services and users alike), else the temporary folder."""
-    shared = Path("/run/lock")
-    return shared if os.access(shared, os.W_OK | os.X_OK) else Path(tempfile.gettempdir())
+# Shared by services and users alike; where it is not usable, the temporary folder is.
+_SHARED = Path("/run/lock")
 
 
 class SensorLock:
     """Held until closed. Errors: DeviceBusy with the process that holds it."""
 
     def __init__(self, name: str, folder: Path | None = None) -> None:
-        self.path = (folder or lock_folder()) / f"gelgate-{re.sub(r'[^A-Za-z0-9_-]', '_', name)}.lock"
+        if folder is None:
+            folder = _SHARED if os.access(_SHARED, os.W_OK | os.X_OK) else Path(tempfile.gettempdir())
+        self.path = folder / f"gelgate-{re.sub(r'[^A-Za-z0-9_-]', '_', name)}.lock"
         self._file = _open(self.path)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -35,14 +35,11 @@ class SensorLock:
             raise DeviceBusy(
                 f"sensor {name} is in use by process {holder} (lock {self.path}); stop it, or choose another sensor"
             ) from error
-        self._sign()
-
-    def _sign(self) -> None:
-        try:
+        with suppress(
+            OSError
+        ):  # read-only: another user's file; only the name of the lock's holder is missing
             os.ftruncate(self._file, 0)
             os.pwrite(self._file, f"{os.getpid()}\n".encode(), 0)
-        except OSError:
-            pass  # read-only: another user's file; the lock works, only the name of its holder is missing
 
     def close(self) -> None:
         """Release; harmless when repeated. The file stays: removing it would let two processes hold two files."""
