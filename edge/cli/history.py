@@ -17,9 +17,10 @@ from edge.clock import local_time
 from edge.config import load_config
 from edge.core.errors import ConfigError
 from edge.core.person_verdict import Agreement
+from edge.core.press import ShadowVerdict
 from edge.core.printable import printable, score_texts, write_count
 from edge.core.reference_press.charts import newest_begin
-from edge.core.shadow import JudgedTwice, ShadowVerdict, Weighing
+from edge.core.shadow import JudgedTwice, Weighing
 from edge.core.suggest import suggestion
 from edge.core.verdict import Cause
 from edge.extras import needs

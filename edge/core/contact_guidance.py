@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,11 @@ from edge.core.contact.mask import Touch, touched
 from edge.core.contact.press_detector import Look
 from edge.core.contact.relief import reach
 from edge.core.contact.settings import ContactSettings
-from edge.core.contact_state import ContactState
+from edge.core.contact_state import Advice, ContactState
 from edge.core.imaging.quality import NominalContact
 
-__all__ = ["Advice", "Guidance", "guide"]
+__all__ = ["Guidance", "guide"]
 
-Advice = Literal["deeper", "shift", "tilt", "hold", "lift"]
 Mask = NDArray[np.bool_]
 
 # A tilt takes this share of the nominal reach away, on one side: its centre is this share of the reach's width from the

@@ -7,7 +7,7 @@ from edge.core.contact.press_detector import Look
 from edge.core.contact.signals import Phase
 from edge.core.imaging.quality import NominalStrength
 
-__all__ = ["OVERLOAD_TIMES", "ContactFollower", "ContactState"]
+__all__ = ["OVERLOAD_TIMES", "Advice", "ContactFollower", "ContactState"]
 
 ContactState = Literal[
     "unknown",
@@ -25,6 +25,9 @@ something does, not yet as a press. pressing, deep_enough: a press that is less 
 at_rest: it rests, and its frame is being judged or waits for a trigger. judged: it has a verdict that is not recorded
 yet. lift: the verdict is recorded, and the part may be lifted; until the gel is free. overload: the press is far deeper
 than those at fit; until the gel is free."""
+
+Advice = Literal["deeper", "shift", "tilt", "hold", "lift"]
+"""What a hand should do with the press."""
 
 OVERLOAD_TIMES: Final = 2.0
 """A press of more than this many times the largest strength at fit is an overload."""

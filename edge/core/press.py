@@ -1,8 +1,9 @@
 """A press: the one value that grows from the frame that settles to the row and the message that it becomes."""
 
+import json
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from dataclasses import asdict, dataclass, field, replace
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,18 @@ from edge.core.overview.view import OverviewView
 from edge.core.piece import PlacePress
 from edge.core.reference_press.outcome import Imprint
 from edge.core.registration.pose import Registered
-from edge.core.shadow import ShadowVerdict
 from edge.core.verdict import Blame, Kind, Verdict
 
-__all__ = ["Again", "JudgedFrame", "Press", "PressLabel", "ReferenceLabel", "ScarFindings", "StudyLabel"]
+__all__ = [
+    "Again",
+    "JudgedFrame",
+    "Press",
+    "PressLabel",
+    "ReferenceLabel",
+    "ScarFindings",
+    "ShadowVerdict",
+    "StudyLabel",
+]
 
 
 @dataclass(frozen=True)
@@ -94,6 +103,28 @@ class Again:
     first_score: float | None = None
     bound: float | None = None
     """Up to this score a second press is asked for."""
+
+
+@dataclass(frozen=True)
+class ShadowVerdict:
+    """What a shadow says of one press."""
+
+    bundle_id: str
+    beside: str
+    """The bundle that decided."""
+    verdict: str
+    """Pass, fail, unsure, rejected, or error for a press that it could not score."""
+    score: float | None
+    threshold: float
+
+    def encode(self) -> str:
+        """Write it as the row of the press has it."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def decode(cls, text: str) -> Self:
+        """Read what `encode` wrote."""
+        return cls(**json.loads(text))
 
 
 @dataclass(frozen=True)

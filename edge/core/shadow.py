@@ -1,14 +1,13 @@
 """A shadow: a bundle that scores presses beside the one in use and decides nothing; whether it may take over."""
 
-import json
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass
-from typing import Final, Self
+from dataclasses import dataclass
+from typing import Final
 
 from edge.core.printable import write_count
 
-__all__ = ["LEAST_COMPARED", "LEAST_ON_NEW_GEL", "JudgedTwice", "ShadowVerdict", "Weighing"]
+__all__ = ["LEAST_COMPARED", "LEAST_ON_NEW_GEL", "JudgedTwice", "Weighing"]
 
 LEAST_COMPARED: Final = 100
 """Presses that both bundles have judged before one may take the other's place. Where none of 100 sound presses
@@ -25,28 +24,6 @@ _MOST_BY_CHANCE: Final = 0.05
 
 # Presses that are named in a sentence of many.
 _MOST_NAMED: Final = 8
-
-
-@dataclass(frozen=True)
-class ShadowVerdict:
-    """What a shadow says of one press."""
-
-    bundle_id: str
-    beside: str
-    """The bundle that decided."""
-    verdict: str
-    """Pass, fail, unsure, rejected, or error for a press that it could not score."""
-    score: float | None
-    threshold: float
-
-    def encode(self) -> str:
-        """Write it as the row of the press has it."""
-        return json.dumps(asdict(self))
-
-    @classmethod
-    def decode(cls, text: str) -> Self:
-        """Read what `encode` wrote."""
-        return cls(**json.loads(text))
 
 
 @dataclass(frozen=True)

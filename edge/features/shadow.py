@@ -13,9 +13,9 @@ from edge.background import Background
 from edge.core.contact.events import PressSettled
 from edge.core.errors import ArchiveError, NotScorable, PoseNotFound, StoreError
 from edge.core.part_position import PartPosition
-from edge.core.press import Press
+from edge.core.press import Press, ShadowVerdict
 from edge.core.sentence import Sentence
-from edge.core.shadow import LEAST_ON_NEW_GEL, JudgedTwice, ShadowVerdict, Weighing
+from edge.core.shadow import LEAST_ON_NEW_GEL, JudgedTwice, Weighing
 from edge.features.scars import mask_scars
 from edge.messaging.command_payloads import NoArguments
 from edge.messaging.result_payload import ShadowPart

@@ -4,8 +4,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import BaseModel, Field
 
-from edge.core.contact_guidance import Advice
-from edge.core.contact_state import ContactState
+from edge.core.contact_state import Advice, ContactState
 from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.messaging.payload_base import Payload, PressId

@@ -46,7 +46,7 @@ class HistoryRow:
     """The kind of damage that a person named."""
     person: str | None = None
     shadow: str | None = None
-    """What the shadow bundle says, JSON (`edge.core.shadow.ShadowVerdict`); None without one."""
+    """What the shadow bundle says, JSON (`edge.core.press.ShadowVerdict`); None without one."""
     piece_id: str | None = None
     """The piece of several places that it is of, each part and position a place; None without one."""
     depth_mm: float | None = None

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from edge.core.shadow import LEAST_COMPARED, JudgedTwice, ShadowVerdict, Weighing
+from edge.core.press import ShadowVerdict
+from edge.core.shadow import LEAST_COMPARED, JudgedTwice, Weighing
 
 
 def press(number: int, verdict: str, other: str, saying: str | None = None) -> JudgedTwice:

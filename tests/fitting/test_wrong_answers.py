@@ -19,8 +19,8 @@ from station import variant
 from calibration.fitting.learn import Comparison, ConfirmedPresses, judge_presses, read_confirmed
 from edge.core.errors import FitError
 from edge.core.part_position import PartPosition
-from edge.core.press import Press
-from edge.core.shadow import ShadowVerdict, Weighing
+from edge.core.press import Press, ShadowVerdict
+from edge.core.shadow import Weighing
 from edge.model.bundle import Bundle
 from edge.store.acts import CONFIRM, Act
 from edge.store.press_archive import ArchiveFolder

@@ -13,7 +13,7 @@ from shadow_station import FIVE, Shadowed, adopt
 from station import Motion, press_recording, variant
 from stepped_station import SteppedStation
 
-from edge.core.shadow import ShadowVerdict
+from edge.core.press import ShadowVerdict
 from edge.features.shadow import Shadow
 from edge.model.bundle import Bundle
 from edge.store.acts import CONFIRM, Act
