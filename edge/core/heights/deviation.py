@@ -7,7 +7,7 @@ told.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 import cv2
 import numpy as np
@@ -63,13 +63,6 @@ class Measured:
     """Why nothing was."""
 
 
-class _Levelled(NamedTuple):
-    difference_mm: F64
-    """Press less good part, float64 (h, w), 0 on the whole around the deviation."""
-    left_mm: float
-    """The largest that remains there."""
-
-
 def measure_deviation(
     press_mm: F64, good_mm: Sequence[F64], places: Mask, sound: Mask, calibration: HeightCalibration
 ) -> Deviation:
@@ -86,12 +79,13 @@ def measure_deviation(
     around = reach & ~flank & sound
     expected = _LEAST_AROUND * np.pi * _AROUND_MM**2 / px_mm**2
     levelled = [_level(press_mm - good, around, expected) for good in good_mm]
-    best = min((one for one in levelled if one is not None), key=lambda one: one.left_mm, default=None)
+    best = min((one for one in levelled if one is not None), key=lambda one: one[1], default=None)
     if best is None:
         return Deviation(
             remark="too little around it is sound and seen, so there is nothing to compare it with"
         )
-    difference, seen = best.difference_mm, np.isfinite(best.difference_mm)
+    difference, left_mm = best
+    seen = np.isfinite(difference)
     if not (flank & seen).any():
         return Deviation(remark="no good press of the bundle shows this place")
     peak = int(np.where(flank & seen, np.abs(difference), -1.0).argmax())
@@ -99,7 +93,7 @@ def measure_deviation(
     shown = np.where(reach & seen, sign * difference, -np.inf)
     length, width = _extent(shown, raised / 2, peak, px_mm)
     share = calibration.height_u95 + 2 * calibration.scale_u95
-    told = best.left_mm + share * raised
+    told = left_mm + share * raised
     u95 = told + _NARROW_MM2 / width**2 * raised
     if raised <= told:
         remark = (
@@ -119,8 +113,10 @@ def measure_deviation(
     return Deviation(*depth, _round(length), _round(size_u95))
 
 
-def _level(difference: F64, around: Mask, expected: float) -> _Levelled | None:
-    """Level a difference by a plane through the places around, without those that fit it badly; None for too few."""
+def _level(difference: F64, around: Mask, expected: float) -> tuple[F64, float] | None:
+    """Level a difference by a plane through the places around, without those that fit it badly; None for too few.
+
+    Returns press less good part, 0 on the whole around the deviation, and the largest that remains there, in mm."""
     usable = around & np.isfinite(difference)
     rows, columns = np.nonzero(usable)
     if len(rows) < max(4, _LEAST_AROUND * expected):
@@ -134,7 +130,7 @@ def _level(difference: F64, around: Mask, expected: float) -> _Levelled | None:
         kept = left <= max(_KEEP_SIGMAS * _MAD_TO_SIGMA * float(np.median(left[kept])), _LEAST_LEFT_MM)
     down, across = np.mgrid[0 : difference.shape[0], 0 : difference.shape[1]]
     levelled = difference - (plane[0] * across + plane[1] * down + plane[2])
-    return _Levelled(np.asarray(levelled), float(left.max()))
+    return np.asarray(levelled), float(left.max())
 
 
 def _extent(shown: F64, level: float, peak: int, px_mm: float) -> tuple[float, float]:

@@ -35,9 +35,7 @@ class SensorLock:
             raise DeviceBusy(
                 f"sensor {name} is in use by process {holder} (lock {self.path}); stop it, or choose another sensor"
             ) from error
-        with suppress(
-            OSError
-        ):  # read-only: another user's file; only the name of the lock's holder is missing
+        with suppress(OSError):  # read-only: another user's file; only the holder's name is missing
             os.ftruncate(self._file, 0)
             os.pwrite(self._file, f"{os.getpid()}\n".encode(), 0)
 
