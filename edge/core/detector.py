@@ -166,4 +166,5 @@ class HasReference(Protocol):
     """A detector with a float64 oracle; `plugins.conformance.check_detector` compares the graph with it."""
 
     def reference_score(self, features: Features, grid: Grid, bank: Bank, parameters: Any) -> ScoreMaps:
-        """Scores of n presses by readable NumPy in float64, with the same parameters as `fit` and `head`."""
+        """Scores of n presses by readable NumPy in float64, with the same parameters as `fit` and `head`. Errors:
+        NotScorable for features that are not finite."""

@@ -33,7 +33,6 @@ class RandomBackbone:
     seed: int = 0
 
     def facts(self) -> dict[str, object]:
-        """Give what a manifest records with the trunk's SHA-256."""
         return {
             "topology": self.topology,
             "weights": f"random weights, seed {self.seed}",

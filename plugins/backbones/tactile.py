@@ -37,7 +37,6 @@ class FixedTrunk:
     read_trunk: Callable[[], bytes]
 
     def facts(self) -> dict[str, object]:
-        """Give what a manifest records with the trunk's SHA-256."""
         return self.read_facts()
 
     def trunk(self, taps: Sequence[str] = TAPS) -> bytes:

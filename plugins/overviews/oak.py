@@ -85,7 +85,6 @@ class OakCamera:
         self._gone: DeviceLost | RecordingEnded | None = None
 
     def read(self, deadline_ns: int) -> CameraFrame:
-        """The next picture (see `Device.read`)."""
         import cv2
 
         if self._gone is not None:

@@ -47,7 +47,6 @@ class PageSink:
             raise SinkRejected(f"the message on {message.topic} cannot be shown: {error}") from error
 
     def close(self) -> None:
-        """The page is gone. May be called again."""
         self._server.close()
 
 

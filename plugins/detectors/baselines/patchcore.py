@@ -122,7 +122,6 @@ class Patchcore:
     is_baseline = True
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> PatchcoreParameters:
-        """The mode's parameters with overrides. Errors: FitError."""
         return choose(self.name, PAPER if mode == "paper" else PatchcoreParameters(), PAPER, overrides)
 
     def taps(self, parameters: PatchcoreParameters) -> tuple[str, ...]:
@@ -161,7 +160,6 @@ class Patchcore:
     def reference_score(
         self, features: Features, grid: Grid, bank: Bank, parameters: PatchcoreParameters
     ) -> ScoreMaps:
-        """The float64 oracle. Errors: NotScorable for features that are not finite."""
         p = parameters
         require_scorable(self.name, features, p.layers)
         raw = p.rows.distances(features, grid, bank.arrays, p.is_squared)

@@ -66,7 +66,6 @@ class Subspace:
     keeps_mean = True
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> SubspaceParameters:
-        """See SubspaceParameters. Errors: FitError."""
         return choose(self.name, PAPER if mode == "paper" else SubspaceParameters(), PAPER, overrides)
 
     def taps(self, parameters: SubspaceParameters) -> tuple[str, ...]:
@@ -113,7 +112,6 @@ class Subspace:
     def reference_score(
         self, features: Features, grid: Grid, bank: Bank, parameters: SubspaceParameters
     ) -> ScoreMaps:
-        """The oracle. Errors: NotScorable for features that are not finite."""
         p = parameters
         require_scorable(self.name, features, p.taps)
         embedding = Embedding(p, grid, bank.arrays)

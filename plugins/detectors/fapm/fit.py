@@ -60,7 +60,6 @@ class Fapm:
     keeps_mean = True
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> FapmParameters:
-        """The mode's parameters with overrides. Errors: FitError."""
         return choose(self.name, PAPER if mode == "paper" else FapmParameters(), PAPER, overrides)
 
     def taps(self, parameters: FapmParameters) -> tuple[str, ...]:
@@ -113,7 +112,6 @@ class Fapm:
     def reference_score(
         self, features: Features, grid: Grid, bank: Bank, parameters: FapmParameters
     ) -> ScoreMaps:
-        """The float64 oracle. Errors: NotScorable for features that are not finite."""
         p = parameters
         require_scorable(self.name, features, p.layers)
         each = [

@@ -40,7 +40,6 @@ class Inreach:
     is_baseline = False
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> InreachParameters:
-        """The mode's parameters with overrides. Errors: FitError."""
         return choose(self.name, PAPER if mode == "paper" else InreachParameters(), PAPER, overrides)
 
     def taps(self, parameters: InreachParameters) -> tuple[str, ...]:
@@ -105,7 +104,6 @@ class Inreach:
     def reference_score(
         self, features: Features, grid: Grid, bank: Bank, parameters: InreachParameters
     ) -> ScoreMaps:
-        """The float64 oracle. Errors: NotScorable for features that are not finite."""
         p = parameters
         require_scorable(self.name, features, p.taps)
         return p.smoothing(grid).score_maps(p.rows.distances(features, grid, bank.arrays, p.is_squared))

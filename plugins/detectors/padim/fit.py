@@ -49,7 +49,6 @@ class Padim:
     keeps_mean = True
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> PadimParameters:
-        """See PadimParameters. Errors: FitError."""
         return choose(self.name, PAPER if mode == "paper" else PadimParameters(), PAPER, overrides)
 
     def taps(self, parameters: PadimParameters) -> tuple[str, ...]:
@@ -89,7 +88,6 @@ class Padim:
     def reference_score(
         self, features: Features, grid: Grid, bank: Bank, parameters: PadimParameters
     ) -> ScoreMaps:
-        """The oracle. Errors: NotScorable for features that are not finite."""
         p = parameters
         require_scorable(self.name, features, p.taps)
         arrays = bank.arrays

@@ -39,7 +39,6 @@ class Spade:
     is_baseline = False
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> SpadeParameters:
-        """The mode's parameters with overrides. Errors: FitError."""
         return choose(self.name, PAPER if mode == "paper" else SpadeParameters(), PAPER, overrides)
 
     def taps(self, parameters: SpadeParameters) -> tuple[str, ...]:
@@ -93,7 +92,6 @@ class Spade:
     def reference_score(
         self, features: Features, grid: Grid, bank: Bank, parameters: SpadeParameters
     ) -> ScoreMaps:
-        """The float64 oracle. Errors: NotScorable for features that are not finite."""
         p = parameters
         require_scorable(self.name, features, (*p.layers, *p.descriptor_taps(grid)))
         described = _describe(features, grid, p) - bank.arrays["press_mean"]

@@ -130,7 +130,6 @@ class UvcSensor:
         return self._freshness.stale
 
     def read(self, deadline_ns: int) -> CameraFrame:
-        """The next new frame (see `Device.read`)."""
         if self._lost is not None:
             raise DeviceLost(self._lost)
         while True:

@@ -140,7 +140,6 @@ class V4l2Sensor:
         return self._freshness.stale
 
     def read(self, deadline_ns: int) -> CameraFrame:
-        """The next new frame (see `Device.read`)."""
         while True:
             payload = self._next_payload()
             if self._freshness.is_new(payload):
