@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.errors import FitError
 from plugins.detectors.common.parameters import EmbeddingParameters, Rng
+from plugins.detectors.common.tile_layout import layout
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["Embedding", "blocks", "learn_embedding", "require_touched", "split_channels", "touched_cells"]
@@ -77,11 +78,9 @@ class Embedding:
     def index(self, tap: str) -> NDArray[np.int64]:
         """The flat cell of `tap` (averaged to the grid where it is finer) for each cell of the grid, int64 (cells,)."""
         shape = self._shape(tap)
-        tiles = self.grid.tiles
-        counts = (1, 1) if tiles is None else (len(tiles.rows), len(tiles.columns))
         rows, columns = (
             _repeat(of, to, self.choice.is_sampled, count)
-            for of, to, count in zip(shape, self.cells, counts, strict=True)
+            for of, to, count in zip(shape, self.cells, layout(self.grid), strict=True)
         )
         flat: NDArray[np.int64] = (rows[:, None] * shape[1] + columns[None]).ravel()
         return flat

@@ -132,7 +132,24 @@ class Fapm:
 
     def head(self, grid: Grid, bank: Bank, parameters: FapmParameters) -> bytes:
         """The graph; the number of prototypes is free."""
-        return fapm_head(self.name, grid, bank, parameters)
+        p, graph = parameters, Graph(self.name)
+        fused = _emit_layer(graph, p.layers[0], grid, bank, p)
+        if len(p.layers) == 2:
+            coarse = _emit_layer(graph, p.layers[1], grid, bank, p)
+            above = graph.op("Gather", coarse, graph.constant(coarse_of_fine(grid, p)), axis=1)
+            fused = graph.op("Add", fused, above)
+        nearest_of = graph.first(fused, 2)
+        score = None
+        if p.weighting != "none":
+            top = graph.op("ArgMax", nearest_of, axis=1, keepdims=1)
+            neighbours = graph.op("GatherND", fused, top, batch_dims=1)
+            score = graph.first(neighbours, 1)
+            if not is_unweighted(bank.arrays, p):
+                score = graph.op("Mul", score, p.emit_weight(graph, neighbours))
+        cells = tile_grid(grid).taps[p.layers[0]][1:]
+        joined = emit_join(graph, graph.reshape(nearest_of, -1, *cells), cells, grid)
+        emit_scores(graph, joined, p.smoothing(grid), score)
+        return graph.serialise()
 
 
 fapm = Fapm()
@@ -260,28 +277,6 @@ def _layer_distances(
     if p.is_calibrated:
         distances *= arrays[f"{tap}_weight"].astype(np.float64)[:, None]
     return distances
-
-
-def fapm_head(name: str, grid: Grid, bank: Bank, p: FapmParameters) -> bytes:
-    """The serialised head of a bank; the number of prototypes is free."""
-    graph = Graph(name)
-    fused = _emit_layer(graph, p.layers[0], grid, bank, p)
-    if len(p.layers) == 2:
-        coarse = _emit_layer(graph, p.layers[1], grid, bank, p)
-        above = graph.op("Gather", coarse, graph.constant(coarse_of_fine(grid, p)), axis=1)
-        fused = graph.op("Add", fused, above)
-    nearest_of = graph.first(fused, 2)
-    smoothing = p.smoothing(grid)
-    score = None
-    if p.weighting != "none":
-        top = graph.op("ArgMax", nearest_of, axis=1, keepdims=1)
-        neighbours = graph.op("GatherND", fused, top, batch_dims=1)
-        score = graph.first(neighbours, 1)
-        if not is_unweighted(bank.arrays, p):
-            score = graph.op("Mul", score, p.emit_weight(graph, neighbours))
-    cells = tile_grid(grid).taps[p.layers[0]][1:]
-    emit_scores(graph, emit_join(graph, graph.reshape(nearest_of, -1, *cells), cells, grid), smoothing, score)
-    return graph.serialise()
 
 
 def is_unweighted(arrays: Mapping[str, NDArray[Any]], p: FapmParameters) -> bool:

@@ -120,7 +120,31 @@ class Padim:
 
     def head(self, grid: Grid, bank: Bank, parameters: PadimParameters) -> bytes:
         """Taps and bank in; score_map, score and raw_map out. The number of directions is free."""
-        return padim_head(self.name, grid, bank, parameters)
+        arrays, embedding = bank.arrays, Embedding(parameters, grid, bank.arrays)
+        graph = Graph(self.name)
+        count, width = embedding.count, embedding.width
+        delta = graph.op("Sub", embedding.emit(graph), graph.input("mean", (count, width)))
+        basis, weights = (
+            graph.input("basis", ("blocks", "rank", width)),
+            graph.input("weights", ("blocks", "rank")),
+        )
+        here = delta
+        if "locations" in arrays:
+            here = graph.op("Gather", delta, graph.input("locations", ("located",), "int64"), axis=1)
+        squared = emit_squared(graph, here, basis, weights, parameters.block**2, parameters.total_ridge)
+        if "elsewhere" in arrays:
+            shared = (
+                graph.input("shared_basis", ("directions", width)),
+                graph.input("shared_weights", ("directions",)),
+            )
+            there = graph.op("Gather", delta, graph.input("elsewhere", ("elsewhere",), "int64"), axis=1)
+            rest = _squared_shared(graph, there, *shared, parameters.total_ridge)
+            squared = graph.op("Concat", squared, rest, axis=1)
+        if "order" in arrays:
+            squared = graph.op("Gather", squared, graph.input("order", (count,), "int64"), axis=1)
+        raw = graph.reshape(graph.op("Sqrt", squared), -1, *embedding.cells)
+        emit_scores(graph, raw, parameters.smoothing(grid, embedding.cells))
+        return graph.serialise()
 
 
 padim = Padim()
@@ -292,35 +316,6 @@ def _facts(
         "repairs": list_repairs(p, PAPER, REPAIRS),
         "warnings": warnings,
     }
-
-
-def padim_head(name: str, grid: Grid, bank: Bank, parameters: PadimParameters) -> bytes:
-    """The serialised head of a bank; the number of directions is free."""
-    arrays, embedding = bank.arrays, Embedding(parameters, grid, bank.arrays)
-    graph = Graph(name)
-    count, width = embedding.count, embedding.width
-    delta = graph.op("Sub", embedding.emit(graph), graph.input("mean", (count, width)))
-    basis, weights = (
-        graph.input("basis", ("blocks", "rank", width)),
-        graph.input("weights", ("blocks", "rank")),
-    )
-    here = delta
-    if "locations" in arrays:
-        here = graph.op("Gather", delta, graph.input("locations", ("located",), "int64"), axis=1)
-    squared = emit_squared(graph, here, basis, weights, parameters.block**2, parameters.total_ridge)
-    if "elsewhere" in arrays:
-        shared = (
-            graph.input("shared_basis", ("directions", width)),
-            graph.input("shared_weights", ("directions",)),
-        )
-        there = graph.op("Gather", delta, graph.input("elsewhere", ("elsewhere",), "int64"), axis=1)
-        rest = _squared_shared(graph, there, *shared, parameters.total_ridge)
-        squared = graph.op("Concat", squared, rest, axis=1)
-    if "order" in arrays:
-        squared = graph.op("Gather", squared, graph.input("order", (count,), "int64"), axis=1)
-    raw = graph.reshape(graph.op("Sqrt", squared), -1, *embedding.cells)
-    emit_scores(graph, raw, parameters.smoothing(grid, embedding.cells))
-    return graph.serialise()
 
 
 def emit_squared(graph: Graph, delta: Value, basis: Value, weights: Value, count: int, ridge: float) -> Value:
