@@ -33,10 +33,13 @@ def find_defects(score_map: NDArray[np.floating], threshold: float) -> list[Defe
     count, labels, stats, centroids = cv2.connectedComponentsWithStats(above, connectivity=8)
     defects = []
     for n in range(1, count):
-        left, top, width, height, _ = stats[n]
+        left, top, width, height, area = stats[n].tolist()
         box = np.s_[top : top + height, left : left + width]
         inside = labels[box] == n
-        defects.append(_defect(stats[n], centroids[n], float(score_map[box][inside].max()), inside))
+        # OpenCV puts the middle of the first pixel at 0; half a pixel more makes it agree with the box's edges.
+        x, y = (centroids[n] + 0.5).tolist()
+        peak = float(score_map[box][inside].max())
+        defects.append(Defect((left, top, width, height), (x, y), area, peak, inside))
     return sorted(defects, key=lambda defect: -defect.score)
 
 
@@ -45,12 +48,3 @@ def longest_extent(places: NDArray[np.bool_]) -> float:
     empty."""
     outline = cv2.convexHull(cv2.findNonZero(places.astype(np.uint8)))[:, 0].astype(np.float64)
     return float(np.hypot(*(outline[:, None] - outline[None]).transpose(2, 0, 1)).max()) + 1.0
-
-
-def _defect(
-    stats: NDArray[np.int32], centroid: NDArray[np.float64], peak: float, inside: NDArray[np.bool_]
-) -> Defect:
-    left, top, width, height, area = (int(value) for value in stats)
-    # OpenCV puts the middle of the first pixel at 0; half a pixel more makes it agree with the box's edges.
-    x, y = (float(value) + 0.5 for value in centroid)
-    return Defect((left, top, width, height), (x, y), area, peak, inside)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 __all__ = ["FLOOR", "TILES_KEY", "Tiles", "tiling"]
 
-# The entry in a trunk's metadata that holds its layout, as `Tiles.written` gives it.
+# The entry in a trunk's metadata that holds its layout, as `Tiles.to_json` gives it.
 TILES_KEY = "gelgate_tiles"
 
 # The weight at the very edge of a tile that a neighbour overlaps. Windows that reach zero leave blind seams.
@@ -79,7 +79,7 @@ class Tiles:
 
     @classmethod
     def read(cls, text: str) -> "Tiles":
-        """Reads the text of `written`. Errors: ValueError for anything else."""
+        """Read the text of `to_json`. Errors: ValueError for anything else."""
         try:
             layout = json.loads(text)
             h, w = layout["frame"]
