@@ -1,1 +1,7 @@
 """gelgate, the gateway: from a press of the sensor to a verdict that the plant can subscribe to."""
+
+import os
+
+# onnxruntime writes a device id and reports to its maker, unless this is set before it is imported: each package of
+# gelgate imports this one first.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")

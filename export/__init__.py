@@ -8,6 +8,8 @@ Names are loaded at use: importing this package imports neither onnx nor torch. 
 
 from typing import TYPE_CHECKING, Any
 
+import edge  # noqa: F401 - before onnxruntime
+
 if TYPE_CHECKING:
     from export.backbone import BackboneExport, BackboneOptions, export_backbone
     from export.bundle_stages import compare_bundle

@@ -1,0 +1,1 @@
+import edge  # noqa: F401 - before onnxruntime
