@@ -42,8 +42,11 @@ class PersonVerdict:
 
 def settle(verdicts: Sequence[PersonVerdict]) -> PersonVerdict | None:
     """Return what holds of one press: the newest word of each person, oldest first in `verdicts`; where persons
-    contradict each other nobody can tell, unless twice as many say the same. None for a press of which nobody spoke."""
-    newest = {verdict.person: verdict for verdict in verdicts}
+    contradict each other nobody can tell, unless twice as many say the same. None for a press of which nobody spoke.
+
+    Names that differ in capitals and blanks alone are one person's.
+    """
+    newest = {_find_key(verdict): verdict for verdict in verdicts}
     if not newest:
         return None
     last = verdicts[-1]
@@ -51,8 +54,14 @@ def settle(verdicts: Sequence[PersonVerdict]) -> PersonVerdict | None:
     most = max(said.values(), default=0)
     said = Counter({saying: count for saying, count in said.items() if 2 * count > most})
     if len(said) > 1:
-        return PersonVerdict(last.press_id, last.time_ns, ", ".join(sorted(newest)), "cannot_tell")
-    return next((one for one in reversed(verdicts) if one.saying in said and newest[one.person] is one), last)
+        names = ", ".join(sorted(one.person for one in newest.values()))
+        return PersonVerdict(last.press_id, last.time_ns, names, "cannot_tell")
+    held = (one for one in reversed(verdicts) if one.saying in said and newest[_find_key(one)] is one)
+    return next(held, last)
+
+
+def _find_key(verdict: PersonVerdict) -> str:
+    return " ".join(verdict.person.split()).casefold()
 
 
 @dataclass
@@ -124,12 +133,13 @@ class Asked:
 def choose_questions(
     presses: Iterable[Asked], answered: Container[str], most: int, new_gel_ns: int | None = None
 ) -> list[Asked]:
-    """Choose the presses that would teach most: closest to the threshold, and of five one pass whatever its score.
+    """Choose the presses that would teach most: closest to the threshold, and of five one pass and one other, drawn.
 
-    Without the latter nobody would ever look at a damage that the machine does not see at all. Which pass it is, is
-    drawn by its time, so the choice stays the same until something changes. new_gel_ns: since then another gel is
-    mounted, on which the bundle is not proven. Then its presses alone are asked for, drawn whatever their score: those
-    close to a threshold of another gel would be the lowest, and its colours may be refused. Oldest first.
+    Without the pass nobody would ever look at a damage that the machine does not see at all, without the other at sound
+    parts that all fail by far. They are drawn by their times, so the choice stays the same until something changes.
+    new_gel_ns: since then another gel is mounted, on which the bundle is not proven. Then its presses alone are asked
+    for, drawn whatever their score: those close to a threshold of another gel would be the lowest, and its colours may
+    be refused. Oldest first.
     """
     open_ = [press for press in presses if press.press_id not in answered]
     if new_gel_ns is None:
@@ -139,6 +149,8 @@ def choose_questions(
     is_drawn = [one for one in open_ if new_gel_ns is not None or one.verdict == "pass"]
     share = most // 5 if new_gel_ns is None else most
     drawn = sorted(is_drawn, key=_draw)[:share]
+    if new_gel_ns is None:
+        drawn += sorted((one for one in open_ if one.verdict != "pass"), key=_draw)[:share]
     close = sorted((one for one in open_ if one not in drawn), key=lambda one: (-one.doubt, one.press_id))
     return sorted([*drawn, *close[: max(0, most - len(drawn))]], key=lambda one: one.press_id)
 

@@ -5,7 +5,7 @@ A shadow is scored beside the bundle of its position, and decides nothing.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -112,8 +112,12 @@ class BundleSet:
         for name in ("profile", "region"):
             one, two = getattr(used.bundle.manifest, name), getattr(new.bundle.manifest, name)
             if one != two:
+                fields, others = asdict(one), asdict(two)
+                differ = ", ".join(
+                    f"{key} {others[key]}, not {fields[key]}" for key in fields if fields[key] != others[key]
+                )
                 raise BundleMismatch(
-                    f"{where} has another {name} than {used.path}: {two}, not {one}; fit both with one {name}"
+                    f"{where} has another {name} than {used.path} ({differ}); fit both with one {name}"
                 )
         for golden in new.bundle.golden:
             highest = max(map(max, golden.map_peaks))

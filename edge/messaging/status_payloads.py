@@ -177,7 +177,8 @@ class QuestionsPayload(Payload):
     presses: tuple[Question, ...] = Field(
         default=(),
         description="those asked about once more, then oldest first: those closest to the threshold, and of five one "
-        "pass drawn by its time; on a gel on which the bundle is not proven, presses of it drawn by their times",
+        "pass and one other drawn by their times; on a gel on which the bundle is not proven, presses of it drawn by "
+        "their times",
     )
 
 
