@@ -1,1 +1,1 @@
-import edge  # noqa: F401 - before onnxruntime
+import edge.core  # noqa: F401 - before onnxruntime
