@@ -2,6 +2,6 @@
 
 import os
 
-# onnxruntime writes a device id and reports to its maker, unless this is set before it is imported: each package of
-# gelgate imports this one first.
+# onnxruntime writes a device id and reports to its maker, unless this is set before it is imported: what imports it,
+# imports this package first.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")

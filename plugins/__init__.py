@@ -1,1 +1,0 @@
-import edge.core  # noqa: F401 - before onnxruntime
