@@ -127,7 +127,8 @@ def test_a_bad_answer_is_asked_for_again(tmp_path: Path, monkeypatch: pytest.Mon
     lines = "\n".join((*brokers, "localhost:1884", *pressed, "3", "perhaps", "n", ""))
     monkeypatch.setattr(sys, "stdin", Typed(lines))
     recording = str(press_recording(tmp_path / "recording", 3))
-    refused = gelgate("new-part", "bolt", *(word.replace("RECORDING", recording) for word in VIRTUAL))
+    words = [word.replace("RECORDING", recording) for word in VIRTUAL]
+    refused = gelgate("new-part", "bolt", *words, "--option", "pace=0")
 
     assert re.findall("'(.*)' is no broker", refused.out) == [*brokers]
     assert re.findall("'(.*)' is no answer", refused.out) == [*pressed, "perhaps"]
