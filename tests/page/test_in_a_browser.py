@@ -112,6 +112,11 @@ AGAIN = PressAgainPart(is_asked=True, reason="press the same piece again, a litt
         # It says whether to wipe the gel or to put the part aside.
         ({"verdict": Kind.FAIL, "cause": Cause.GEL, "cause_text": "a mark there"}, "fail", "cause: gel"),
         ({"verdict": Kind.UNSURE, "is_at_rest": False}, "unsure", "lifted before it rested"),
+        (
+            {"verdict": Kind.UNSURE, "blind_area_mm2": 0.9},
+            "unsure",
+            "0.90 mm2 under a mark of the gel are not judged: wipe it",
+        ),
     ],
 )
 def test_the_reason_of_a_verdict_is_shown(

@@ -379,7 +379,7 @@ function showPresses(presses, piece) {
   if (!last) { return; }
   put("facts", [named(last), ratio(last) && t("{ratio} × threshold", { ratio: ratio(last) }), clock(last)].filter(Boolean).join(" · "));
   const [, code, why] = /^(?:([a-z_]+): )?(.*)$/s.exec(last.reason || last.error || (last.press_again || {}).reason || "");
-  put("why", [[code && t(code), tell(why)].filter(Boolean).join(": "), last.cause && t("cause: {cause}", { cause: t(last.cause) }), last.is_at_rest === false && t("lifted before it rested")].filter(Boolean).join(" · "));
+  put("why", [[code && t(code), tell(why)].filter(Boolean).join(": "), last.cause && t("cause: {cause}", { cause: t(last.cause) }), last.is_at_rest === false && t("lifted before it rested"), last.blind_area_mm2 > 0 && t("{mm2} mm2 under a mark of the gel are not judged: wipe it", { mm2: last.blind_area_mm2.toPrecision(2) })].filter(Boolean).join(" · "));
   put("cause", tell(last.cause_text || ""));
   if (shownPress !== null && shownPress !== last.press_id) { // two passes in a row are two
     at("verdict").classList.add("fresh");
