@@ -108,7 +108,7 @@ def _rate(wrong: int, said: int, word: str) -> str:
     if not said:
         return f"not known, nobody judged a {word}"
     low, high = rate_limits(wrong, said)
-    return f"{wrong} of {said} judged ({low:.0%} to {high:.0%})"
+    return f"{wrong} of {write_count(said, f'judged {word}')} ({low:.0%} to {high:.0%})"
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,8 @@ def test_false_alarms_and_escapes_are_of_the_presses_that_people_judged() -> Non
         agreement.add(verdict, saying)
 
     assert agreement.describe() == (
-        "10 presses, yield 60.0%; false alarms: 1 of 2 judged (5% to 95%); escapes: 1 of 3 judged (3% to 80%)"
+        "10 presses, yield 60.0%; false alarms: 1 of 2 judged fails (5% to 95%); "
+        "escapes: 1 of 3 judged passes (3% to 80%)"
     )
     assert "not known, nobody judged a fail" in Agreement().describe()
 

@@ -98,7 +98,7 @@ def test_a_word_is_kept_beside_the_verdict_and_the_press_is_not_asked_for_again(
         ("pass", None, None),
     ]
     assert gelgate("history", "--by", "part", "-c", tmp_path / "gelgate.toml").out == (
-        "PZ0/pos1: 4 presses, yield 75.0%; false alarms: 0 of 1 judged (0% to 90%); escapes: not known, "
+        "PZ0/pos1: 4 presses, yield 75.0%; false alarms: 0 of 1 judged fail (0% to 90%); escapes: not known, "
         "nobody judged a pass\n"
     )
     played.__exit__(None, None, None)
