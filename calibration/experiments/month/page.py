@@ -33,7 +33,7 @@ Each part is random, fitted with 24 pieces (8 of them pressed twice) of one batc
 - **Gel.** A grain or a hair settles every 60 presses, and stays until it is wiped: each morning, and where the station
   says so. A scratch, a dent or a rubbed place comes every 400 presses and stays. The coat wears. In the middle of the
   month another gel is mounted, and where `gel_scar` or `gel_mark` is there again at the press after the gel was wiped,
-  once a day at most, or each 100 presses.
+  once a day at most, or each 100 presses. Each gel has a tint, a coat and a stiffness of its own.
 - **Lamps** lose a fifth of their light. **Operator:** place (sd 0.15 mm), turn (1 degree) and depth (4 %) wander; the
   gel is free for 0.3 to 1.6 s between presses. **Batches:** every three days, relief up to 4 % and size up
   to 0.3 % different, tool marks of 1 to 3 um.
