@@ -163,8 +163,8 @@ COMMANDS: Final[Sequence[LoopCommand]] = (
         "acknowledge_alarm",
         AcknowledgeAlarmArguments,
         _acknowledge_alarm,
-        "end an alarm that stays after its reason is over: `pulse`, `outbox_full` or `counts`; the others end by "
-        "themselves. `alarms`: those that remain",
+        "end an alarm that stays after its reason is over: `pulse`, `outbox_full`, `counts`, `drift` or `takeover`; "
+        "the others end by themselves. `alarms`: those that remain",
         "the alarm",
     ),
     Command(
