@@ -131,7 +131,7 @@ def test_what_is_no_picture_is_refused(bundle: gelgate.Bundle, picture: interfac
         ([np.zeros((4, 4), np.uint8)], {}, r"uint8 \(4, 4\), expected uint8 \(h, w, 3\)"),
         ("nominal", {"chanels": 5}, "channels"),
         ("nominal", {"limit": "best"}, "chosen or plain"),
-        ("nominal", {"output": "line"}, "exists already"),
+        ("nominal", {"output": "line"}, "holds no bundle, and is not replaced"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused(
