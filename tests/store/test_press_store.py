@@ -3,6 +3,7 @@
 import os
 import sqlite3
 import threading
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -97,9 +98,13 @@ def killed_at(path: Path, press: PressRecord, messages: MakeMessages, statement:
             store = Store(path)
             store._database._connection.set_trace_callback(count)
             store.record_press(press, messages)
-        finally:
             os._exit(0)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        finally:
+            traceback.print_exc()
+            os._exit(2)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert code in (0, 1), "recording failed in the other process, as printed"
+    return code == 0
 
 
 # Later versions of Python warn of a fork beside threads; here the child uses SQLite alone, and ends.

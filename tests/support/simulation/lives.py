@@ -313,7 +313,7 @@ class Station:
 
     def hear_answers(self) -> None:
         """Wait for the threads whose requests the loop has done, with the golden frames that one may have asked for."""
-        golden = self.loop.parts.selection._golden._asked
+        golden = self.loop.parts.selection.golden._asked
         if not self.loop.parts.calls._waiting and all(asked.done() for asked in golden):
             for thread in self.asking:
                 thread.join()
