@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.printable import score_texts
 from edge.core.registration.coarse import CoarseSearch
 from edge.core.registration.colours import FreeLight, SlopeColours
 from edge.core.registration.fine import Alignment, FineSearch
@@ -201,10 +202,11 @@ class Registrar:
 
     def _refusal(self, match: float, seen_share: float) -> str | None:
         if not match >= self.part.least_match:
+            agrees, least = score_texts(match, self.part.least_match, 2)
             return Sentence(
-                f"the part is not recognised: at its best place the press agrees with the nominal ones by "
-                f"{match:.2f}, at least {self.part.least_match:.2f} is expected; check which part is pressed and that "
-                "its relief lies on the gel"
+                f"the part is not recognised: at its best place the press agrees with the nominal ones by {agrees}, at "
+                f"least {least} is expected; check which part is pressed, that its relief lies on the gel, and that "
+                "the gel is clean"
             )
         if seen_share < self.part.least_seen:
             return Sentence(
