@@ -167,7 +167,7 @@ def plan_fit(given: FitArguments) -> "tuple[NominalPresses, FitConfig]":
 
 
 # They change what a later fit of the same presses gives; the others are in fields of the manifest, or of one machine.
-_KEPT_SETTINGS = [
+_KEPT_SETTINGS = (
     "resize",
     "pattern",
     "holdout",
@@ -177,7 +177,7 @@ _KEPT_SETTINGS = [
     "limit",
     "register",
     "augment",
-]
+)
 
 
 def _asked_for(given: FitArguments) -> dict[str, object]:
