@@ -94,6 +94,9 @@ class Station:
     """For sinks that people use."""
     picture_type: str = "image/jpeg"
     """Content type of the pictures of presses."""
+    draw: Callable[[str], bytes] | None = None
+    """Draws the picture of an archived press, for those who look at it later; empty where it cannot. From any thread;
+    never raises."""
 
     def __post_init__(self) -> None:
         if not self.root or self.root.startswith("/") or self.root.endswith("/"):

@@ -30,7 +30,7 @@ from edge.gateway.features import load_features, read_options
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.opening import BundleOpener, device_opener, first_part
 from edge.gateway.part_selection import PartSelection
-from edge.gateway.pictures import Pictures
+from edge.gateway.pictures import Pictures, PressDrawing
 from edge.gateway.preflight import Preflight
 from edge.gateway.recorder import draw_archived
 from edge.gateway.report import FreeSpace
@@ -86,22 +86,21 @@ def _build(
     """Build the parts. closing: gets the calls that close them."""
     calls, retained_state = LoopCalls[StationLoop](clock), RetainedState()
     retained_state.announce(asyncapi_message(describe_station(config)))
-    # The lock first: a second gateway must not migrate the tables of this one, or take its place at the broker.
-    lock = PublisherLock(config.store.path)
-    closing.callback(lock.close)
-    store = closing.enter_context(_open_store(config, clock))
+    lock, store = _open_store(config, clock, closing)
     opener, bundles = _open_bundles(config, clock, store, checked)
     part = first_part(config.inspection, bundles, store.read("reading the selected part", read_selected))
     handlers = station_handlers(calls, station_commands(config))
     commands = Commands(handlers, policy_of(config), store, clock, config.commands.requests_per_minute)
-    sinks = _open_sinks(config, _sink_context(config, clock, retained_state, commands), closing)
+    by_name: dict[str, PressStage] = {}
+    draw_again = _drawer(config, store, bundles, by_name.values())
+    sinks = _open_sinks(config, _sink_context(config, clock, retained_state, commands, draw_again), closing)
     path, before = config.store.path, _names_before(config)
     publisher = Publisher(path, sinks, retained_state, clock, random.Random(), lock=lock, before=before)
     listeners: list[Callable[[Message], object]] = [publisher.announce]
     status = StationStatus(lambda message: [hear(message) for hear in listeners], clock)
     closing.callback(publisher.stop)
     _forget_last_heatmap(config, store, retained_state)
-    pictures = _open_pictures(config, store, bundles, publisher.wake, lambda: by_name.values())
+    pictures = Pictures(store, publisher.wake, draw_again, keeps_last=config.keeps_heatmap)
     closing.callback(pictures.close)
     status.set_waiting_for(Sentence("the sensor"))
     device = _opener(config, bundles[part].bundle.profile.controls, clock, closing, checked)
@@ -126,7 +125,7 @@ def _build(
         announce=status.announce,
         listen=listeners.append,
     )
-    by_name = _open_stages(stage_parts, stages, closing)
+    by_name.update(_open_stages(stage_parts, stages, closing))
     closing.callback(status.stopped)
     opened = list(by_name.values())
     for stage in (stage for stage in opened if stage.is_awaited):
@@ -136,18 +135,16 @@ def _build(
     )
 
 
-def _open_pictures(
-    config: Config,
-    store: Store,
-    bundles: BundleSet,
-    wake: Callable[[], None],
-    stages: Callable[[], Iterable[PressStage]],
-) -> Pictures:
+def _drawer(
+    config: Config, store: Store, bundles: BundleSet, stages: Iterable[PressStage]
+) -> Callable[[str], PressFiles]:
+    """Return what draws an archived press by its id. stages: as they are when it draws."""
+
     def draw_again(press_id: str) -> PressFiles:
         opened = [one.bundle for one in (*bundles.bundles.values(), *bundles.shadows.values())]
-        return draw_archived(press_id, store, opened, config.station.heatmap, stages())
+        return draw_archived(press_id, store, opened, config.station.heatmap, list(stages))
 
-    return Pictures(store, wake, draw_again, keeps_last=config.keeps_heatmap)
+    return draw_again
 
 
 def _forget_last_heatmap(config: Config, store: Store, retained_state: RetainedState) -> None:
@@ -202,18 +199,28 @@ def _names_before(config: Config) -> dict[str, str]:
     return {plugin: name for plugin, name in names.items() if counts[plugin] == 1 and name != plugin}
 
 
-def _open_store(config: Config, clock: Clock) -> Store:
+def _open_store(config: Config, clock: Clock, closing: ExitStack) -> tuple[PublisherLock, Store]:
+    """The lock first: a second gateway must not migrate the tables of this one, or take its place at the broker."""
     path = config.store.path
+    lock = PublisherLock(path)
+    closing.callback(lock.close)
     before, copy = migrate(path) if path.is_file() else (0, None)
     if copy is not None:
         log.warning(
             "database %s migrated from version %d to %d; as it was: %s", path, before, SCHEMA_VERSION, copy
         )
     bounds = Bounds(round(config.store.outbox_mb * 1e6), config.store.outbox_days * 86400)
-    return Store(path, bounds, config.gel.limit_presses, config.gel.warn_fraction, clock.monotonic_ns)
+    limits = config.gel.limit_presses, config.gel.warn_fraction
+    return lock, closing.enter_context(Store(path, bounds, *limits, clock.monotonic_ns))
 
 
-def _sink_context(config: Config, clock: Clock, retained_state: RetainedState, commands: Commands) -> Station:
+def _sink_context(
+    config: Config,
+    clock: Clock,
+    retained_state: RetainedState,
+    commands: Commands,
+    draw_again: Callable[[str], PressFiles],
+) -> Station:
     lost = StatePayload(time_ns=clock.time_ns(), state="lost", reason="the gateway ended without a message")
     return Station(
         root=config.station.place.root,
@@ -225,6 +232,7 @@ def _sink_context(config: Config, clock: Clock, retained_state: RetainedState, c
         on_refused=commands.refuse,
         page=PageRequests(commands.page_verbs, commands.from_page, commands.refuse_at_page),
         picture_type=f"image/{config.station.heatmap}",
+        draw=lambda press_id: PressDrawing(press_id, partial(draw_again, press_id)).draw_now().draw().sheet,
     )
 
 

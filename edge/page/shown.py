@@ -3,7 +3,7 @@
 import json
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 from pydantic import ValidationError
@@ -78,10 +78,14 @@ class Picture(NamedTuple):
 class Shown:
     """The newest messages. Any thread may use it.
 
-    place: site/line/station, empty where it is not known yet. away: why nothing new comes, as one sentence.
+    place: site/line/station, empty where it is not known yet. away: why nothing new comes, as one sentence. draw:
+    draws the picture of a press that a person is asked about and that is not here; empty where it cannot. None without
+    an archive.
     """
 
-    def __init__(self, place: str, away: str | None = None) -> None:
+    def __init__(
+        self, place: str, away: str | None = None, draw: Callable[[str], bytes] | None = None
+    ) -> None:
         self._changed = threading.Condition()
         self._version = 1
         self._is_closed = False
@@ -92,6 +96,8 @@ class Shown:
         self._alarms: dict[str, Any] = {}
         self._presses: OrderedDict[str, Any] = OrderedDict()
         self._pictures: OrderedDict[str, Picture] = OrderedDict()
+        self._draw, self._drawing = draw, threading.Lock()
+        self._not_drawn: set[str] = set()
 
     def see(self, message: Message) -> None:
         """topic: below the root. Others than those that are shown have no effect. Errors: ValueError, one sentence for
@@ -134,8 +140,7 @@ class Shown:
         picture = Picture(data, content_type(data))
         with self._changed:
             self._pictures[press_id] = picture
-            questions = (self._status["questions"] or {}).get("presses", ())[:MOST_ASKED]
-            asked = {one["press_id"] for one in questions}
+            asked = self._asked()
             # Of the oldest press, not the one that came first: those of before an interruption come late.
             place = {known: n for n, known in enumerate(self._presses)}
             newest = max(place, default="")
@@ -145,6 +150,11 @@ class Shown:
             for old in others[:-MOST_PICTURES]:
                 del self._pictures[old]
             self._note()
+
+    def _asked(self) -> list[str]:
+        """The presses that a person is asked about, as far as their pictures are kept."""
+        questions = (self._status["questions"] or {}).get("presses", ())[:MOST_ASKED]
+        return [one["press_id"] for one in questions]
 
     def _see_last_picture(self, data: bytes) -> None:
         """Keep the retained picture of `last/press` for pages that are opened later. The id is in the file."""
@@ -198,7 +208,7 @@ class Shown:
                 "place": self._place,
                 "away": self._away,
                 **self._status,
-                "pictures": list(self._pictures),
+                "pictures": [*self._pictures, *self._to_draw()],
                 "alarms": dict(self._alarms),
             }
 
@@ -211,9 +221,24 @@ class Shown:
             ]
 
     def picture(self, press_id: str) -> Picture | None:
-        """None for a press without one, and for one that is too old."""
-        with self._changed:
-            return self._pictures.get(press_id)
+        """None for a press without one, and for one that is too old. Of one that a person is asked about it is drawn
+        again, once: it may be older than the start, or than those that are kept."""
+        with self._drawing:
+            with self._changed:
+                if self._draw is None or press_id not in self._to_draw():
+                    return self._pictures.get(press_id)
+            data = self._draw(press_id)
+            self._see_picture(press_id, data)
+            with self._changed:
+                if not data:
+                    self._not_drawn.add(press_id)
+                    self._note()
+                return self._pictures.get(press_id)
+
+    def _to_draw(self) -> list[str]:
+        """The presses that a person is asked about and whose pictures can be drawn."""
+        known = self._pictures.keys() | self._not_drawn
+        return [] if self._draw is None else [one for one in self._asked() if one not in known]
 
     def wait(self, version: int, timeout_s: float) -> None:
         """Return soon after there is another version than this, when the time is over, or at the end.

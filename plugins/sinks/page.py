@@ -4,7 +4,7 @@ It is a sink like the others: it gets what a broker gets, and goes on while brok
 loopback address unless other machines are named. With a token a person selects the part, acknowledges an alarm and
 records a new gel; the station does these as requests that come over MQTT, and keeps them in its table of acts.
 
-What it does not do: it keeps nothing on the disk, so it shows what came since the start of the gateway; it shows no
+What it does not do: it keeps nothing on the disk, so its presses are those since the start of the gateway; it shows no
 live picture; it does not encrypt.
 """
 
@@ -35,7 +35,7 @@ class PageSink:
     def __init__(
         self, options: PageSettings, station: Station, clock: Clock, port: int | None = None
     ) -> None:
-        self._shown = Shown("/".join(station.root.split("/")[1:-2]))
+        self._shown = Shown("/".join(station.root.split("/")[1:-2]), draw=station.draw)
         self._server = PageServer(self._shown, options, station.page, clock, port=port)
         self.port = self._server.port
 

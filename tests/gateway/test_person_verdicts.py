@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 from command_line import gelgate
+from page_messages import ask, asked
+from ports import free_port
 from shadow_station import FIVE
 from station import Configure, Motion, press_recording, station_config, variant
 from stepped_station import SteppedStation
@@ -105,6 +107,29 @@ def test_a_word_is_kept_beside_the_verdict_and_the_press_is_not_asked_for_again(
     with SteppedStation(tmp_path / "gelgate.toml") as restarted:
         settle(restarted)
         assert restarted.said("questions")["answered_today"] == 1
+
+
+def test_after_a_restart_the_page_shows_what_it_asks_about(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """The picture is drawn again from the archive: the same one."""
+    port = free_port()
+    sinks = f'[[sinks]]\nplugin = "page"\noptions = {{ port = {port} }}\n'
+    pictures = list[list[tuple[int, bytes]]]()
+    for attempt in range(2):
+        with SteppedStation(station_config(tmp_path, recording, bundle, sinks=sinks)) as station:
+            if attempt == 0:
+                station.play_presses(4)
+            settle(station)
+            for _ in range(50):
+                station.publish()
+            ids = [one["press_id"] for one in station.said("questions")["presses"]]
+            assert sorted(asked(port, "/station.json")["pictures"]) == ids
+            pictures.append([ask(port, f"/pictures/{one}") for one in ids])
+
+    assert len(pictures[0]) == 4
+    assert pictures[0] == pictures[1]
+    assert {status for status, _ in pictures[0]} == {200}
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import socket
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from typing import Any
 
 import numpy as np
@@ -104,6 +104,28 @@ def test_pictures_that_a_person_is_asked_about_are_kept_longer(sink: PageSink) -
 
     assert len(asked(sink.port, "/questions.json")["presses"]) == MOST_ASKED + 1
     assert asked(sink.port, "/station.json")["pictures"] == ids[:MOST_ASKED] + ids[-MOST_PICTURES:]
+
+
+def test_the_picture_of_a_press_that_was_asked_about_before_the_start_is_drawn_again() -> None:
+    """Once, when somebody looks; of one that the archive has no more the page says so, and no other is drawn."""
+    drawn, ids = list[str](), [json.loads(press(n)[0].payload)["press_id"] for n in (1, 2, 3)]
+
+    def draw(press_id: str) -> bytes:
+        drawn.append(press_id)
+        return encode_jpeg(np.zeros((4, 4, 3), np.uint8), {}) if press_id == ids[0] else b""
+
+    questions = tuple(
+        Question(press_id=one, time_ns=1, time_ms=0, verdict="pass", score_ratio=0.9, part="bolt")
+        for one in ids[:2]
+    )
+    with closing(PageSink(PageOptions(), Station(ROOT, "press2", draw=draw), ManualClock(), port=0)) as sink:
+        sink.send(QuestionsPayload(time_ns=T0_NS, per_day=10, presses=questions).message())
+        assert asked(sink.port, "/station.json")["pictures"] == ids[:2]
+        answers = [ask(sink.port, f"/pictures/{one}")[0] for one in (*ids, *ids)]
+
+        assert answers == [200, 404, 404] * 2
+        assert drawn == ids[:2]
+        assert asked(sink.port, "/station.json")["pictures"] == ids[:1]
 
 
 @pytest.mark.parametrize(
