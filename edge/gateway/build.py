@@ -210,8 +210,8 @@ def _open_store(config: Config, clock: Clock, closing: ExitStack) -> tuple[Publi
             "database %s migrated from version %d to %d; as it was: %s", path, before, SCHEMA_VERSION, copy
         )
     bounds = Bounds(round(config.store.outbox_mb * 1e6), config.store.outbox_days * 86400)
-    limits = config.gel.limit_presses, config.gel.warn_fraction
-    return lock, closing.enter_context(Store(path, bounds, *limits, clock.monotonic_ns))
+    store = Store(path, bounds, config.gel.limit_presses, config.gel.warn_fraction, clock.monotonic_ns)
+    return lock, closing.enter_context(store)
 
 
 def _sink_context(
