@@ -150,7 +150,8 @@ def _check_size(where: str, name: str, size: int, limit: int) -> None:
 
 
 def _missing(where: str, name: str) -> BundleCorrupt:
-    return BundleCorrupt(f"bundle {where}: {name} is missing; copy the complete bundle again")
+    other = "name the folder of a bundle, or " if name == MANIFEST else ""
+    return BundleCorrupt(f"bundle {where}: {name} is missing; {other}copy the complete bundle again")
 
 
 def open_archive(path: Path) -> Archive:
