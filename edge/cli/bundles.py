@@ -80,8 +80,9 @@ def _rows(manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "threshold", f"{limit.value:.6g} ({limit.method})"
     yield "limit", choice_sentence(facts, LIMIT) or "plain"
     yield "missing relief", choice_sentence(facts, MISSING) or "not checked"
-    if dots := facts.get("dots"):
-        yield "marker dots", str(dots)
+    for name, label in (("registration", "registration"), ("free_gel", "free gel"), ("dots", "marker dots")):
+        if name in facts:
+            yield label, str(facts[name])
     yield "false alarms", promise(limit)
     if drawn := manifest.regions:
         yield "drawn regions", drawn.describe() or "none"

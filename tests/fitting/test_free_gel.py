@@ -90,6 +90,21 @@ def test_the_dots_of_a_marker_gel_have_their_free_places() -> None:
     assert np.nanmedian(np.hypot(*away.T)) < 1.2  # where presses overlap most of them shear one way
 
 
+def test_a_press_of_a_plain_gel_among_those_of_a_marker_gel_does_not_spoil_the_estimate() -> None:
+    """It shows no dot, so it does not tell where they lie, and how dark they are."""
+    plain = [cv2.resize(rgb, (320, 240)) for rgb in presses(ANYWHERE)]
+    places = lattice((240, 320))
+    middles = [(2 * x, 2 * y) for x, y, _ in ANYWHERE]
+    sheared = [dotted(rgb, spread(places, at)) for rgb, at in zip(plain, middles, strict=True)]
+    alone = estimate_free_gel(sheared, 2 * MM)
+    sheared[1] = plain[1]
+
+    found = estimate_free_gel(sheared, 2 * MM)
+
+    assert alone.find_foreign(found.picture) == ""
+    assert find_marker_dots(found.picture, 2 * MM) is not None
+
+
 def test_what_is_not_seen_is_said_and_no_picture_is_refused_by_it() -> None:
     """A faint texture over the whole view, a part over half of the rim, and one that looks like light."""
     stripes = 60 * np.sign(np.sin(ROWS / 6.0))[..., None] * (COLUMNS < 130)[..., None]

@@ -36,7 +36,7 @@ _COARSE_PX = 8
 
 
 def find_common_dots(pictures: Sequence[U8], pixels_per_mm: float) -> MarkerDots | None:
-    """Find the dots that several presses show, uint8 (h, w, 3) each, at their places in most; None for no such dots.
+    """Find the dots that most presses show, uint8 (h, w, 3) each, at their places in most; None for no such dots.
 
     A part with a regular dark texture may do so too, but on coloured lights relief turns colours and does not darken
     all of them.
@@ -47,7 +47,7 @@ def find_common_dots(pictures: Sequence[U8], pixels_per_mm: float) -> MarkerDots
         return None
     found = [dots for rgb in some if (dots := find_marker_dots(rgb, pixels_per_mm)) is not None]
     sizes = np.array([(dots.apart_px, dots.width_px) for dots in found])
-    if len(found) < len(some) or np.any(np.ptp(sizes, axis=0) > _ALIKE * sizes.mean(axis=0)):
+    if len(found) <= len(some) / 2 or np.any(np.ptp(sizes, axis=0) > _ALIKE * sizes.mean(axis=0)):
         return None
     first = max(found, key=lambda dots: len(dots.places))
     shifts = np.stack([first.find_shifts(rgb) for rgb in pictures])
@@ -60,16 +60,20 @@ def find_common_dots(pictures: Sequence[U8], pixels_per_mm: float) -> MarkerDots
 def dot_light(dots: MarkerDots, pictures: Sequence[U8]) -> F32:
     """Compute what share of the light the dots leave, at their places in most presses, float32 (h, w, 3).
 
-    Each press is moved back by the shift of its dots.
+    Each press is moved back by the shift of its dots; one of another gel, without dots, tells nothing.
     """
-    return np.asarray(np.median([_move_back(dots, rgb) for rgb in pictures], axis=0), np.float32)
+    shifts = [(rgb, dots.find_shifts(rgb)) for rgb in pictures]
+    moved = [_move_back(dots, rgb, shift) for rgb, shift in shifts if not np.isnan(shift).all()]
+    return np.asarray(np.median(moved, axis=0), np.float32)
 
 
-def _move_back(dots: MarkerDots, rgb: U8) -> F32:
-    """Return the share of the light in a press, its dots moved to their places, float32 (h, w, 3)."""
+def _move_back(dots: MarkerDots, rgb: U8, shifts: F64) -> F32:
+    """Return the share of the light in a press, its dots moved to their places, float32 (h, w, 3).
+
+    shifts: of its dots, (n, 2) pixels, NaN where a dot is not seen.
+    """
     height, width = rgb.shape[:2]
     share = np.asarray(rgb, np.float32) / np.maximum(dots.fill(rgb), 1)
-    shifts = dots.find_shifts(rgb)
     is_seen = ~np.isnan(shifts[:, 0])
     y, x = np.mgrid[0:height:_COARSE_PX, 0:width:_COARSE_PX] + (_COARSE_PX - 1) / 2
     away = np.stack([x, y], axis=-1)[:, :, None] - dots.places[is_seen]
