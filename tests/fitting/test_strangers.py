@@ -94,6 +94,12 @@ BAD: dict[str, tuple[Presses, Presses, U8 | None, str]] = {
     "out of focus": (press, unfocused, gel(99), f"{TWO} are less sharp than the others"),
     "markers": (press, marked, gel(99), f"the dots of a marker gel in {TWO}"),
     "no markers": (marked, press, dotted(gel(99), DOTS), f"no dots of a marker gel in {TWO}"),
+    "no markers, gel not known": (
+        marked,
+        press,
+        None,
+        f"no dots of a marker gel in {TWO}, unlike the others",
+    ),
     "markers on all": (marked, marked, gel(99), "of another gel"),
     "picture of a press": (press, press, press(50), "('free/free.png') show the part, and are left out"),
     "picture of another light": (press, press, gel(99, tilt=60), "('free/free.png') differs by"),

@@ -64,8 +64,14 @@ def _find_mixed(presses: NominalPresses, pixels_per_mm: float, has_dots: bool) -
         if not has_dots:
             shown = "all presses show regular dark dots, or the part has them, and the free gel does not"
         return [f"{shown}: it is of another gel; give a picture of the gel of the presses"]
+    learnt = "the gel that is learnt"
+    if (
+        not has_dots and len(odd) > len(presses) / 2
+    ):  # dots are only found where all the presses looked at show them
+        odd = [name for name, has in zip(presses.names, shows, strict=True) if not has]
+        has_dots, learnt = True, "the others"
     what = "no dots of a marker gel" if has_dots else "the dots of a marker gel"
     return [
-        f"{what} in {list_names(odd, len(presses))}, unlike the gel that is learnt: they are of another gel; leave "
-        f"them out (--leave-out '{odd[0]}'), and fit them alone"
+        f"{what} in {list_names(odd, len(presses))}, unlike {learnt}: they are of another gel; leave them out "
+        f"(--leave-out '{odd[0]}'), and fit them alone"
     ]

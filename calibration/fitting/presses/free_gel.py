@@ -36,7 +36,7 @@ _COARSE_PX = 8
 
 
 def find_common_dots(pictures: Sequence[U8], pixels_per_mm: float) -> MarkerDots | None:
-    """Find the dots that most presses show, uint8 (h, w, 3) each, at their places in most; None for no such dots.
+    """Find the dots that several presses show, uint8 (h, w, 3) each, at their places in most; None for no such dots.
 
     A part with a regular dark texture may do so too, but on coloured lights relief turns colours and does not darken
     all of them.
@@ -47,7 +47,7 @@ def find_common_dots(pictures: Sequence[U8], pixels_per_mm: float) -> MarkerDots
         return None
     found = [dots for rgb in some if (dots := find_marker_dots(rgb, pixels_per_mm)) is not None]
     sizes = np.array([(dots.apart_px, dots.width_px) for dots in found])
-    if len(found) <= len(some) / 2 or np.any(np.ptp(sizes, axis=0) > _ALIKE * sizes.mean(axis=0)):
+    if len(found) < len(some) or np.any(np.ptp(sizes, axis=0) > _ALIKE * sizes.mean(axis=0)):
         return None
     first = max(found, key=lambda dots: len(dots.places))
     shifts = np.stack([first.find_shifts(rgb) for rgb in pictures])
