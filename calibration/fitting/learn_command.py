@@ -1,6 +1,6 @@
 """`gelgate bundle learn`: a bundle, its nominal presses and what people said at the station in, a new bundle out."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -82,8 +82,8 @@ def learn(given: LearnArguments) -> None:
         )
     _warn_without_gel(old, presses)
     warn_of_lost(old)
-    learnt = sum(name.startswith(f"{pictures.name}/") for name in presses.names)
-    typer.echo(f"{write_count(len(presses), 'nominal press')}, {learnt} of them from the station")
+    learnt = [k for k, name in enumerate(presses.names) if name.startswith(f"{pictures.name}/")]
+    typer.echo(f"{write_count(len(presses), 'nominal press')}, {len(learnt)} of them from the station")
 
     def fit_and_check(created: str, report: Report) -> Fitted:
         fitted = fit_files(presses, config, created=created, report=report)
@@ -93,10 +93,31 @@ def learn(given: LearnArguments) -> None:
         try:
             comparison.check()
         except FitError as error:
-            raise _ask_again(error, comparison, database) from None
+            alike = _name_alike(old, comparison, presses.choose(learnt), given.threads)
+            raise _ask_again(FitError("; ".join([str(error), *alike])), comparison, database) from None
         return fitted
 
     make(fit_and_check, given.output, given.overwrite)
+
+
+def _name_alike(old: "Bundle", comparison: "Comparison", good: "NominalPresses", threads: int) -> list[str]:
+    """Say of each lost damage which of the learnt presses resembles it most: one of the two words may be wrong."""
+    import tempfile
+
+    from calibration.fitting.learn import MOST_NAMED, write_picture
+    from calibration.fitting.presses.nominal_presses import read_presses
+    from calibration.fitting.teach import name_alike
+
+    lost = comparison.lost[:MOST_NAMED]
+    if not lost:
+        return []
+    with tempfile.TemporaryDirectory() as folder:
+        files = [write_picture(one.press, one.frame, Path(folder)) for one in lost]
+        damaged = read_presses(files, old.profile, old.region)
+    damaged, good = (
+        replace(some, names=tuple(Path(name).stem for name in some.names)) for some in (damaged, good)
+    )
+    return name_alike(old, damaged, good, threads)
 
 
 def _ask_again(error: "FitError", comparison: "Comparison", database: Path) -> "FitError":

@@ -36,6 +36,7 @@ __all__ = [
     "hold_out",
     "lower_limit",
     "lower_place",
+    "name_alike",
     "why_not",
 ]
 
@@ -244,9 +245,28 @@ def why_not(lesson: Lesson) -> list[str]:
     return said
 
 
+def name_alike(old: Bundle, damaged: NominalPresses, good: NominalPresses, threads: int) -> list[str]:
+    """Say of each damaged press which good press shows most where it stands out most, by the old bundle."""
+    scorer, (x_mm, y_mm), said = Scorer(old, threads), old.profile.mm_per_pixel, list[str]()
+    near = _near(old, _see(scorer, good, old)[1])
+    for name, damage in zip(damaged.names, _see(scorer, damaged, old)[1], strict=True):
+        y, x = np.unravel_index(int(damage.argmax()), damage.shape)
+        nearest = int(near[:, y, x].argmax())
+        if damage[y, x] > 0:
+            said.append(
+                f"where {name} stands out most, at ({x * x_mm:.1f}, {y * y_mm:.1f}) mm, "
+                f"the good press {good.names[nearest]} shows {near[nearest, y, x] / damage[y, x]:.0%} of that"
+            )
+    return said
+
+
 def _spread(lesson: Lesson, maps: F32) -> F32:
+    return _near(lesson.old, maps)
+
+
+def _near(old: Bundle, maps: F32) -> F32:
     """Give each place the highest value of what is watched with it, for each map."""
-    return find_near(maps, lesson.old.profile.pixels_per_mm, _PLACE_MM + _FADE_MM / 2)
+    return find_near(maps, old.profile.pixels_per_mm, _PLACE_MM + _FADE_MM / 2)
 
 
 def _find_place(lesson: Lesson, number: int, usual: F32) -> tuple[int, int]:
