@@ -280,6 +280,9 @@ class DayStation:
             self._note_alarms()
             self.clock.sleep(FRAME_S)
         self._loop.parts.pictures.step()
+        for worker in self._loop.parts.publisher.workers.values():
+            while worker.step() == 0:
+                pass
 
     def _turn(self, seconds: float) -> None:
         """Let the loop turn without a frame."""

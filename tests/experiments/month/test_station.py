@@ -42,7 +42,8 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_day_counts_every_piece_and_keeps_every_answer(bundle: Path, tmp_path: Path) -> None:
-    """All pass, so what is damaged or of another part escapes; the person's words are in the ledger."""
+    """All pass, so what is damaged or of another part escapes; the person's words are in the ledger, and all messages
+    have left."""
     presses = MONTH.day(0)
     day = DayStation(write_config(tmp_path, bundle, 100), 0, MountedGel(MONTH), TrunkSessions(1))
     with day.open() as opened:
@@ -57,6 +58,7 @@ def test_a_day_counts_every_piece_and_keeps_every_answer(bundle: Path, tmp_path:
     assert counts.escapes == counts.not_sound == sum(press.truth != "sound" for press in presses)
     with open_read_only(tmp_path / "gelgate.db", "reading it") as connection:
         assert len(read_verdicts(connection)) == counts.asked == 4
+        assert connection.execute("SELECT count(*) FROM outbox WHERE topic = 'result'").fetchone() == (0,)
 
 
 def test_a_day_of_false_alarms_ends_with_the_wish_to_learn(bundle: Path, tmp_path: Path) -> None:
