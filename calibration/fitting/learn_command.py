@@ -109,7 +109,7 @@ def _name_alike(old: "Bundle", comparison: "Comparison", good: "NominalPresses",
     from calibration.fitting.teach import name_alike
 
     lost = comparison.lost[:MOST_NAMED]
-    if not lost:
+    if not lost or not len(good):
         return []
     with tempfile.TemporaryDirectory() as folder:
         files = [write_picture(one.press, one.frame, Path(folder)) for one in lost]

@@ -4,6 +4,7 @@ import json
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
 from pydantic import ValidationError
@@ -227,13 +228,14 @@ class Shown:
             with self._changed:
                 if self._draw is None or press_id not in self._to_draw():
                     return self._pictures.get(press_id)
-            data = self._draw(press_id)
-            self._see_picture(press_id, data)
+            with suppress(ValueError):  # it is too large to be shown
+                self._see_picture(press_id, self._draw(press_id))
             with self._changed:
-                if not data:
+                found = self._pictures.get(press_id)
+                if found is None:
                     self._not_drawn.add(press_id)
                     self._note()
-                return self._pictures.get(press_id)
+                return found
 
     def _to_draw(self) -> list[str]:
         """The presses that a person is asked about and whose pictures can be drawn."""

@@ -107,24 +107,26 @@ def test_pictures_that_a_person_is_asked_about_are_kept_longer(sink: PageSink) -
 
 
 def test_the_picture_of_a_press_that_was_asked_about_before_the_start_is_drawn_again() -> None:
-    """Once, when somebody looks; of one that the archive has no more the page says so, and no other is drawn."""
-    drawn, ids = list[str](), [json.loads(press(n)[0].payload)["press_id"] for n in (1, 2, 3)]
+    """Once, when somebody looks; of one that is too large, or gone from the archive, the page says so, and no other is
+    drawn."""
+    drawn, ids = list[str](), [json.loads(press(n)[0].payload)["press_id"] for n in (1, 2, 3, 4)]
 
     def draw(press_id: str) -> bytes:
         drawn.append(press_id)
-        return encode_jpeg(np.zeros((4, 4, 3), np.uint8), {}) if press_id == ids[0] else b""
+        pictures = {ids[0]: encode_jpeg(np.zeros((4, 4, 3), np.uint8), {}), ids[1]: bytes(5 << 20)}
+        return pictures.get(press_id, b"")
 
     questions = tuple(
         Question(press_id=one, time_ns=1, time_ms=0, verdict="pass", score_ratio=0.9, part="bolt")
-        for one in ids[:2]
+        for one in ids[:3]
     )
     with closing(PageSink(PageOptions(), Station(ROOT, "press2", draw=draw), ManualClock(), port=0)) as sink:
         sink.send(QuestionsPayload(time_ns=T0_NS, per_day=10, presses=questions).message())
-        assert asked(sink.port, "/station.json")["pictures"] == ids[:2]
+        assert asked(sink.port, "/station.json")["pictures"] == ids[:3]
         answers = [ask(sink.port, f"/pictures/{one}")[0] for one in (*ids, *ids)]
 
-        assert answers == [200, 404, 404] * 2
-        assert drawn == ids[:2]
+        assert answers == [200, 404, 404, 404] * 2
+        assert drawn == ids[:3]
         assert asked(sink.port, "/station.json")["pictures"] == ids[:1]
 
 

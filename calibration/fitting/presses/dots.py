@@ -65,9 +65,8 @@ def _find_mixed(presses: NominalPresses, pixels_per_mm: float, has_dots: bool) -
             shown = "all presses show regular dark dots, or the part has them, and the free gel does not"
         return [f"{shown}: it is of another gel; give a picture of the gel of the presses"]
     learnt = "the gel that is learnt"
-    if (
-        not has_dots and len(odd) > len(presses) / 2
-    ):  # dots are only found where all the presses looked at show them
+    if not has_dots and len(odd) > len(presses) / 2:
+        # Dots of a gel that is not known are found only where each of a few presses shows them.
         odd = [name for name, has in zip(presses.names, shows, strict=True) if not has]
         has_dots, learnt = True, "the others"
     what = "no dots of a marker gel" if has_dots else "the dots of a marker gel"
