@@ -232,32 +232,33 @@ def why_not(lesson: Lesson) -> list[str]:
     held_out = lesson.held_out
     if held_out is None:
         return []
-    x_mm, y_mm = lesson.old.profile.mm_per_pixel
-    near, said = _spread(lesson, held_out), list[str]()
-    for k in lesson.missed:
-        y, x = _find_place(lesson, k, near.max(axis=0))
-        nearest = int(near[:, y, x].argmax())
-        said.append(
-            f"{lesson.damaged.names[k]} scores {lesson.maps[k, y, x]:.2f} of the limit at ({x * x_mm:.1f}, "
-            f"{y * y_mm:.1f}) mm, where it stands out most, and the sound press {lesson.nominal.names[nearest]} "
-            f"{near[nearest, y, x]:.2f}"
-        )
-    return said
+    near = _spread(lesson, held_out)
+    places = [(k, _find_place(lesson, k, near.max(axis=0))) for k in lesson.missed]
+    names, sound = lesson.damaged.names, lesson.nominal.names
+    return [_name_nearest(lesson.old, names[k], lesson.maps[k], at, sound, near) for k, at in places]
 
 
 def name_alike(old: Bundle, damaged: NominalPresses, good: NominalPresses, threads: int) -> list[str]:
     """Say of each damaged press which good press shows most where it stands out most, by the old bundle."""
-    scorer, (x_mm, y_mm), said = Scorer(old, threads), old.profile.mm_per_pixel, list[str]()
+    scorer, said = Scorer(old, threads), list[str]()
     near = _near(old, _see(scorer, good, old)[1])
     for name, damage in zip(damaged.names, _see(scorer, damaged, old)[1], strict=True):
         y, x = np.unravel_index(int(damage.argmax()), damage.shape)
-        nearest = int(near[:, y, x].argmax())
         if damage[y, x] > 0:
-            said.append(
-                f"where {name} stands out most, at ({x * x_mm:.1f}, {y * y_mm:.1f}) mm, "
-                f"the good press {good.names[nearest]} shows {near[nearest, y, x] / damage[y, x]:.0%} of that"
-            )
+            said.append(_name_nearest(old, name, damage, (int(y), int(x)), good.names, near))
     return said
+
+
+def _name_nearest(
+    old: Bundle, name: str, damage: F32, at: tuple[int, int], sound: Sequence[str], near: F32
+) -> str:
+    """Name the sound press that shows most at a place of a damaged one. near: of the sound ones, as `_near`."""
+    (y, x), (x_mm, y_mm) = at, old.profile.mm_per_pixel
+    nearest = int(near[:, y, x].argmax())
+    return (
+        f"{name} scores {damage[y, x]:.2f} of the limit at ({x * x_mm:.1f}, {y * y_mm:.1f}) mm, where it stands out "
+        f"most, and the sound press {sound[nearest]} {near[nearest, y, x]:.2f}"
+    )
 
 
 def _spread(lesson: Lesson, maps: F32) -> F32:
