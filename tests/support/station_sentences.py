@@ -14,7 +14,8 @@ def find_sentences() -> tuple[set[str], set[str]]:
     for path in (*(ROOT / "edge").rglob("*.py"), *(ROOT / "plugins").rglob("*.py")):
         if {"templates", "conformance"} & set(path.parts):
             continue
-        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        text = path.read_text(encoding="utf-8")
+        for call in ast.walk(ast.parse(text)) if "Sentence(" in text else ():
             if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "Sentence":
                 made_of = call.args[0]
                 if isinstance(made_of, ast.JoinedStr | ast.Constant):
