@@ -5,6 +5,7 @@ That the document is CycloneDX is judged by CycloneDX's own schema in tests/proj
 
 import hashlib
 import json
+from functools import cache
 from importlib.metadata import Distribution, distribution
 from pathlib import Path
 from typing import Any
@@ -24,13 +25,21 @@ def bundle(tmp_path: Path) -> Path:
     return write_bundle(tmp_path / "bolt", files)
 
 
-def components(bundles: list[Path]) -> dict[str, dict[str, Any]]:
-    return {one["name"]: one for one in json.loads(bill_of_materials(bundles))["components"]}
+@cache
+def installed() -> str:
+    """The bill of what is installed, without a bundle, with a fixed time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SOURCE_DATE_EPOCH", "1000000000")
+        return bill_of_materials([])
+
+
+def components(bill: str) -> dict[str, dict[str, Any]]:
+    return {one["name"]: one for one in json.loads(bill)["components"]}
 
 
 def test_an_installed_package_is_there_with_version_licence_and_its_foreign_library() -> None:
     """libusb comes in the wheel of libusb-package: by the package's name alone nobody would look for it."""
-    found, package = components([])["libusb-package"], distribution("libusb-package")
+    found, package = components(installed())["libusb-package"], distribution("libusb-package")
     (library,) = found["components"]
 
     assert found["purl"] == f"pkg:pypi/libusb-package@{package.version}"
@@ -65,7 +74,7 @@ def test_a_licence_is_named_also_where_its_text_alone_states_it(
 
 def test_what_needs_what_is_said_of_installed_packages() -> None:
     """The program needs what a plain install brings, and each reference is to a component that is listed once."""
-    document = json.loads(bill_of_materials([]))
+    document = json.loads(installed())
     needs = {one["ref"]: one["dependsOn"] for one in document["dependencies"]}
     listed = [one["bom-ref"] for one in document["components"]]
 
@@ -80,7 +89,7 @@ def test_what_needs_what_is_said_of_installed_packages() -> None:
 def test_a_bundle_and_its_trunk_are_there_by_their_hashes(bundle: Path) -> None:
     """The manifest has the hashes of all other files."""
     manifest = (bundle / "manifest.json").read_bytes()
-    found = components([bundle])
+    found = components(bill_of_materials([bundle]))
 
     assert found["bolt/crest"]["hashes"][0]["content"] == hashlib.sha256(manifest).hexdigest()
     trunk = hashlib.sha256((bundle / "trunk.onnx").read_bytes()).hexdigest()
@@ -90,7 +99,7 @@ def test_a_bundle_and_its_trunk_are_there_by_their_hashes(bundle: Path) -> None:
 def test_the_number_follows_from_what_is_listed(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """So two bills with one number list the same; with one time they are equal."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1000000000")
-    without, again, with_bundle = bill_of_materials([]), bill_of_materials([]), bill_of_materials([bundle])
+    without, again, with_bundle = installed(), bill_of_materials([]), bill_of_materials([bundle])
 
     assert without == again
     assert json.loads(without)["metadata"]["timestamp"] == "2001-09-09T01:46:40Z"

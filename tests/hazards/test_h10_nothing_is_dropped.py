@@ -6,12 +6,12 @@ second test fails on the shape; with the slice of SPADE-pytorch always on the fi
 """
 
 import numpy as np
+import pytest
 from heads import fit, grid, presses_of, run_head
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge.core.detector import Grid
-from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT
 from plugins.detectors.common.distances import nearest
 from plugins.detectors.spade import spade
 
@@ -29,10 +29,11 @@ def test_every_gallery_cell_is_found(h: int, w: int, n: int, seed: int) -> None:
     assert raw.max() < 1e-4
 
 
-def test_rows_searched_in_parts_are_the_same_rows() -> None:
-    """56x56 cells and five presses are searched in three parts with a remainder: each has the oracle's distance."""
-    taps = {"layer1": (8, 56, 56)}
-    assert 56 * 56 % (PRODUCT_LIMIT // (5 * 56 * 56)) != 0
+def test_rows_searched_in_parts_are_the_same_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """14x14 cells and five presses are searched in three parts with a remainder: each has the oracle's distance."""
+    taps, limit = {"layer1": (8, 14, 14)}, 80 * 5 * 14 * 14
+    monkeypatch.setattr("plugins.detectors.spade.head.PRODUCT_LIMIT", limit)
+    assert 14 * 14 % 80 != 0
     nominal = presses_of(5, 0, taps)
     p = spade.parameters("paper", layers=("layer1",), is_normalised=False)
     bank = fit(spade, p, nominal, grid(taps))

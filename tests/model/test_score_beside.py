@@ -84,7 +84,7 @@ def test_where_the_two_would_compute_others_it_is_scored_alone() -> None:
     press = parts.anywhere(parts.BLOCK, 20)[1][3]
     other, scorer = (
         Scorer(registered().bundle()),
-        Scorer(fitted(nominal(parts.anywhere(parts.BLOCK, 20)[1])).bundle()),
+        Scorer(fitted(nominal(parts.anywhere(parts.BLOCK, 8)[1])).bundle()),
     )
     found = scorer.score_beside(other, press, other.score(press).registered)
 

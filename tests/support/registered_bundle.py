@@ -44,5 +44,5 @@ def fitted(presses: NominalPresses, register: Register = "never", **changes: obj
 
 @cache
 def registered() -> Fitted:
-    """Learnt from 20 presses of a part that a hand put down."""
-    return fitted(nominal(parts.anywhere(parts.BLOCK, 20)[1]), "auto")
+    """Learnt from 14 presses of a part that a hand put down."""
+    return fitted(nominal(parts.anywhere(parts.BLOCK, 14)[1]), "auto")

@@ -16,7 +16,7 @@ from edge.core.contact.events import (
 from edge.core.contact.reference import Reference, View
 from edge.core.contact.tracker import ContactTracker
 
-FPS = 25.0
+FPS = 18.75
 PRESSES = (PressBegan, PressSettled, PressNotSettled, PressEnded)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from edge.core.errors import ConfigError
+from plugins.reading import isolated
 from plugins.reading.isolated import read_foreign
 
 MEMORY, CPU_S, DISK = 4 << 30, 60, 64 << 20
@@ -43,9 +44,11 @@ def growing(path: Path, times: int, *, is_kept: bool) -> None:
         path.write_bytes(start + (b"h\x02" + make + b"0") * times + b"N.")
 
 
-def test_memory_is_limited(tmp_path: Path) -> None:
-    """A megabyte that asks for three gigabytes: a sentence with the limit, and the caller lives on."""
-    growing(tmp_path / "model.pkl", 3000, is_kept=True)
+def test_memory_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A megabyte that asks for one and a half times the limit: a sentence with it, and the caller lives on."""
+    assert isolated.BASE_BYTES == 2 << 30
+    monkeypatch.setattr(isolated, "BASE_BYTES", 512 << 20)
+    growing(tmp_path / "model.pkl", 750, is_kept=True)
 
     with (
         pytest.raises(ConfigError, match=r"model\.pkl was not imported: .* more than the \d+ MiB allowed"),
