@@ -51,8 +51,8 @@ def test_parts_anywhere_are_registered_and_the_bundle_says_why() -> None:
 def test_parts_too_far_apart_to_lie_as_they_are_need_no_second_bank() -> None:
     """Where a method that compares places is refused as presses lie, the damage in held-out presses decides, the sizes
     that few banks find left out: separated as by chance, or not rendered, presses are not registered."""
-    touches = (Touch(0.1, 0.05, 0.5), Touch(0.1, 0.95, 0.5)) * 6
-    presses = nominal(parts.anywhere(parts.BLOCK, 12)[1], touches=touches)
+    touches = (Touch(0.1, 0.05, 0.5), Touch(0.1, 0.95, 0.5)) * 4
+    presses = nominal(parts.anywhere(parts.BLOCK, 8)[1], touches=touches)
     why = fitted(presses, "auto").manifest.facts["registration"]
     assert "too far to be compared as they lie; of rendered damage" in why
     assert "without (image" not in why
@@ -260,14 +260,14 @@ def test_one_asymmetric_damage_among_nominal_presses_of_a_symmetric_part_is_name
 def test_a_turn_that_some_presses_do_not_show_is_said() -> None:
     """Two presses without the mark that breaks a symmetry agree as well at its other turns; the others are sure."""
     marked = (*parts.ring(3), (8.0, 12.0, 3.0, 4.0))
-    shown, plain = parts.anywhere(marked, 8)[1], parts.anywhere(parts.ring(3), 2, 50)[1]
+    shown, plain = parts.anywhere(marked, 6)[1], parts.anywhere(parts.ring(3), 2, 50)[1]
     sure, doubtful = (learn_pose(rgb, parts.free_gel()) for rgb in (shown, np.concatenate([plain, shown])))
 
     assert (sure.part.symmetry, sure.nearly) == (1, 1)
     assert (doubtful.part.symmetry, doubtful.nearly) == (1, 3)
-    said = PoseChoice(doubtful).find_warnings([""] * 10)
+    said = PoseChoice(doubtful).find_warnings([""] * 8)
     assert "turn of presses is not sure: some agree nearly as well turned by 120 degrees" in said[0]
-    assert not PoseChoice(sure).find_warnings([""] * 8)
+    assert not PoseChoice(sure).find_warnings([""] * 6)
 
 
 def test_a_press_in_which_the_part_is_not_recognised_is_named() -> None:
@@ -279,7 +279,7 @@ def test_a_press_in_which_the_part_is_not_recognised_is_named() -> None:
 
 def test_one_damage_of_a_symmetric_part_fails_at_each_of_its_turns() -> None:
     """A bump too many or too few lies at one of four places that look the same: no turn hides it."""
-    symmetric = fitted(nominal(parts.anywhere(parts.ring(4), 12)[1]), "always")
+    symmetric = fitted(nominal(parts.anywhere(parts.ring(4), 8)[1]), "always")
     scorer = Scorer(symmetric.bundle())
     assert scorer.bundle.registration is not None
     assert scorer.bundle.registration.symmetry == 4
