@@ -85,8 +85,16 @@ class Detector:
         self._bank = {name: unpacked(self.files, entry) for name, entry in manifest["bank"].items()}
         self._tiles, self._taps = manifest["grid"]["tiles"], manifest["grid"]["taps"]
 
+    def prepare(self, rgb):
+        """A frame as the bundle's presses were learnt: smoothed over 3x3 pixels, where the manifest says so."""
+        if not self.files.manifest.get("is_smoothed"):
+            return rgb
+        wide = np.pad(rgb, ((1, 1), (1, 1), (0, 0)), mode="edge").astype(np.uint16)
+        down = wide[:-2] + 2 * wide[1:-1] + wide[2:]
+        return ((down[:, :-2] + 2 * down[:, 1:-1] + down[:, 2:] + 8) >> 4).astype(np.uint8)
+
     def score(self, rgb):
-        """(score_map float32 (h, w), score): raw, higher is more anomalous."""
+        """(score_map float32 (h, w), score) of a prepared frame: raw, higher is more anomalous."""
         if rgb.dtype != np.uint8 or rgb.shape != (*self.frame, 3):
             raise SystemExit(f"a frame is uint8 {(*self.frame, 3)}, found {rgb.dtype} {rgb.shape}")
         feeds = {"frames": rgb[None]} if self._trunk is None else {**self._features(rgb), **self._bank}
@@ -166,7 +174,7 @@ def main(arguments):
         raise SystemExit(__doc__)
     detector = Detector(arguments[0])
     for path in arguments[1:]:
-        score_map, score = detector.score(np.load(path, allow_pickle=False))
+        score_map, score = detector.score(detector.prepare(np.load(path, allow_pickle=False)))
         row, column = np.unravel_index(int(score_map.argmax()), score_map.shape)
         print(f"{path}: score {score:.6g}, {detector.verdict(score)}, largest at row {row}, column {column}")
     if len(arguments) == 1:

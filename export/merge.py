@@ -21,7 +21,7 @@ from export.onnx_values import join, rename
 from plugins.backbones.tiled import plain_trunk, read_model, tap_shapes
 from plugins.onnx_builder import Graph
 
-__all__ = ["merge_bundle", "merged_graph", "mosaic_trunk"]
+__all__ = ["merge_bundle", "merged_graph", "mosaic_trunk", "smooth_first"]
 
 MERGED_RELATIVE = 1e-4
 """How far the merged graph may differ from the pair, relative to the largest map value: with a constant bank the
@@ -35,7 +35,7 @@ def merge_bundle(bundle: Bundle, output: Path, *, as_bundle: bool = False) -> fl
     differ. Errors: BundleMismatch for a bundle that is already a single graph, BundleCorrupt when the scores differ,
     OSError of the disk.
     """
-    graph = merged_graph(bundle)
+    graph = _merge(bundle)
     difference = _largest_difference(bundle, graph)
     if not difference <= MERGED_RELATIVE:
         raise BundleCorrupt(
@@ -45,15 +45,25 @@ def merge_bundle(bundle: Bundle, output: Path, *, as_bundle: bool = False) -> fl
     if as_bundle:
         write_bundle(output, single_graph_bundle(bundle, graph)[1], overwrite=True)
     else:
-        write_file(output, graph)
+        write_file(output, _read_raw(bundle, graph))
     return difference
 
 
 def merged_graph(bundle: Bundle) -> bytes:
-    """The serialised graph: uint8 `frames` (n, h, w, 3) to `score_map` and `score`. Imports onnx at use.
+    """The serialised graph: uint8 `frames` (n, h, w, 3), as the camera shows them, to `score_map` and `score`. Imports
+    onnx at use.
 
     Errors: BundleMismatch for a bundle that no single graph can replace.
     """
+    return _read_raw(bundle, _merge(bundle))
+
+
+def _read_raw(bundle: Bundle, graph: bytes) -> bytes:
+    return smooth_first(graph, bundle.manifest.frame) if bundle.manifest.is_smoothed else graph
+
+
+def _merge(bundle: Bundle) -> bytes:
+    """Make one graph of a bundle's two. Frames are prepared. Errors: as `merged_graph`."""
     import onnx
     from onnx import numpy_helper
 
@@ -125,6 +135,26 @@ def mosaic_trunk(trunk: bytes, tiles: Tiles) -> bytes:
     onnx.helper.set_model_props(tiled, facts)
     onnx.checker.check_model(tiled, full_check=True)
     return bytes(tiled.SerializeToString())
+
+
+def smooth_first(graph: bytes, frame: tuple[int, int]) -> bytes:
+    """The graph behind `smooth`, bit for bit: it then reads frames as the camera shows them. frame: (h, w)."""
+    import onnx
+
+    first, size = Graph("smoothing"), ("n", *frame, 3)
+    x = first.op("Cast", first.input("frames", size, "uint8"), to=onnx.TensorProto.FLOAT)
+    x = first.op("Pad", first.transpose(x, 0, 3, 1, 2), first.ints(0, 0, 1, 1, 0, 0, 1, 1), mode="edge")
+    weights = np.outer((1, 2, 1), (1, 2, 1)).astype(np.float32) / 16
+    x = first.op("Conv", x, first.constant(np.repeat(weights[None, None], 3, axis=0)), group=3)
+    x = first.op("Floor", first.op("Add", x, first.scalar(0.5)))
+    x = first.op("Cast", first.transpose(x, 0, 2, 3, 1), to=onnx.TensorProto.UINT8)
+    first.output("smoothed", x, size, "uint8")
+    model = onnx.load_from_string(graph)
+    smoothed = join(onnx.load_from_string(first.serialise()), model, {"smoothed": "frames"}, ("smooth/", ""))
+    rename(smoothed, {"smooth/frames": "frames"})
+    onnx.helper.set_model_props(smoothed, {entry.key: entry.value for entry in model.metadata_props})
+    onnx.checker.check_model(smoothed)
+    return bytes(smoothed.SerializeToString())
 
 
 def _metadata(bundle: Bundle) -> dict[str, str]:

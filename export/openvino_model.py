@@ -12,7 +12,7 @@ import numpy as np
 from edge.core.errors import ConfigError
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
-from export.merge import merged_graph
+from export.merge import merged_graph, smooth_first
 from export.parity import ParityReport, compare, score_frames, score_stages
 
 __all__ = ["write_openvino"]
@@ -29,6 +29,8 @@ def write_openvino(bundle: Bundle, output: Path) -> ParityReport:
     if output.suffix != ".xml":
         raise ConfigError(f"an OpenVINO model is a file .xml with a file .bin next to it; found {output}")
     graph = bundle.graphs.detector or merged_graph(bundle)
+    if bundle.graphs.detector and bundle.manifest.is_smoothed:
+        graph = smooth_first(graph, bundle.manifest.frame)
     try:
         with tempfile.TemporaryDirectory() as folder:  # the converter reads a file
             file = Path(folder) / "detector.onnx"

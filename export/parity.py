@@ -204,11 +204,11 @@ def score_frames(scorer: Scorer, frames: Iterable[NDArray[np.uint8]]) -> Maps:
 
 
 def show_frames(scorer: Scorer, frames: Iterable[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """Return frames (h, w, 3) as the network sees them: marker dots filled, in the bank's pose, uint8 (n, h, w, 3)."""
-    filled = [scorer.fill_dots(frame) for frame in frames]
-    registered = [scorer.score_filled(frame).registered for frame in filled]
+    """Return frames (h, w, 3) as the network sees them: prepared, in the bank's pose, uint8 (n, h, w, 3)."""
+    prepared = [scorer.bundle.prepare(frame) for frame in frames]
+    registered = [scorer.score_prepared(frame).registered for frame in prepared]
     return np.stack(
-        [frame if one is None else one.rgb for frame, one in zip(filled, registered, strict=True)]
+        [frame if one is None else one.rgb for frame, one in zip(prepared, registered, strict=True)]
     )
 
 

@@ -17,6 +17,7 @@ from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.colours import nominal_colours
 from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.fitting.presses.preparation import smooth_presses
 from edge.core.contact.wear import wear
 from edge.core.errors import FitError, PoseNotFound
 from edge.core.imaging.sensor_check import colour_cells, is_other_kind
@@ -62,6 +63,7 @@ def carry_bundle(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -
     if bundle.registration is not None:  # another gel has other cuts
         bundle = replace(bundle, registration=replace(bundle.registration, gel_limits=None))
     presses = take_out_dots(presses, bundle.profile.pixels_per_mm)
+    presses = smooth_presses(presses) if bundle.manifest.is_smoothed else presses
     _check_presses(bundle, presses)
     scorer = Scorer(bundle, config.threads)
     scores = _scores(scorer, presses)
@@ -152,7 +154,7 @@ def _scores(scorer: Scorer, presses: NominalPresses) -> NDArray[np.float64]:
     scores = []
     for name, frame in zip(presses.names, presses.frames, strict=True):
         try:
-            scores.append(scorer.score_filled(frame).anomaly_score)
+            scores.append(scorer.score_prepared(frame).anomaly_score)
         except PoseNotFound as error:
             raise FitError(f"press {name} does not show the learnt part: {error}") from error
     return np.array(scores)

@@ -43,8 +43,8 @@ from calibration.fitting.presses.augmentation import (
     render_copies,
 )
 from calibration.fitting.presses.colours import colour_warnings, nominal_colours, refuses
-from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
+from calibration.fitting.presses.preparation import prepare_presses
 from calibration.progress import Report, StageTimes
 from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Nominal, Progress
@@ -95,7 +95,7 @@ def fit_files(
 ) -> Fitted:
     """Fit a bundle in memory. created: the date for the provenance. Errors: FitError, ConfigError."""
     watch = StageTimes(report)
-    plan = _plan_fit(take_out_dots(presses, config.profile.pixels_per_mm, config.mode), config)
+    plan = _plan_fit(prepare_presses(presses, config.profile.pixels_per_mm, config.mode), config)
     with watch.time("features"):
         features = _take_features(plan, partial(report, "features"))
     return _measure(_learn_bank(features, watch), created, watch)
@@ -389,5 +389,6 @@ def _facts(learnt: _Learnt, created: str) -> Facts:
         strength=measuring.strength_range(plan.presses),
         colours=plan.colours,
         dots=None if plan.presses.dots is None else DotsEntry.of(plan.presses.dots),
+        is_smoothed=plan.presses.raw is not None,
         provenance=measuring.provenance(created, plan.presses, config.seed, learnt.warnings),
     )

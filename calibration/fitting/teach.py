@@ -299,7 +299,7 @@ def _see(scorer: Scorer, presses: NominalPresses, old: Bundle) -> tuple[Float, F
     for rgb in presses.frames:
         try:
             scored = scorer.score(rgb)
-            found = None if registrar is None else registrar.register(scorer.fill_dots(rgb))
+            found = None if registrar is None else registrar.register(old.prepare(rgb))
             if found is not None and found.refusal is not None:
                 raise PoseNotFound(found.refusal)
             lying = np.asarray(scored.score_map / np.float32(limit), np.float32)

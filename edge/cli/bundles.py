@@ -75,6 +75,7 @@ def _rows(manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "repairs", ", ".join(manifest.repairs) or "none"
     yield "sensor profile", f"{profile.name}, picture {size}, {profile.pixels_per_mm:.2f} pixels/mm"
     yield "region", f"{manifest.region} (x,y,WIDTHxHEIGHT)"
+    yield "smoothed", "over 3x3 pixels, against noise" if manifest.is_smoothed else "no"
     yield from _graph_rows(manifest)
     yield "augmentation", choice_sentence(facts, AUGMENTATION) or "none"
     yield "threshold", f"{limit.value:.6g} ({limit.method})"

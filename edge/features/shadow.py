@@ -297,11 +297,11 @@ def _score(press: Press, shadow: Inspector, inspector: Inspector) -> Press:
     assert press.rgb is not None
     try:
         _follow_light(press, shadow, inspector)
-        filled = shadow.restore_light(shadow.scorer.fill_dots(press.rgb))
+        prepared = shadow.restore_light(shadow.bundle.prepare(press.rgb))
         if shadow.light == press.light:
-            scored = shadow.scorer.score_beside(inspector.scorer, filled, press.registered)
+            scored = shadow.scorer.score_beside(inspector.scorer, prepared, press.registered)
         else:  # it was fitted under another light
-            scored = shadow.scorer.score_filled(filled)
+            scored = shadow.scorer.score_prepared(prepared)
         verdict = shadow.bundle.manifest.decide(scored.anomaly_score)
         return Press(verdict, score_map=scored.score_map)
     except (PoseNotFound, NotScorable) as error:

@@ -239,10 +239,9 @@ def draw_archived(
     frame = archive.read(then.frame, f"the judged frame of press {press_id}")
     picture = decode(CameraFrame(frame, 0, 0, is_on_demand=True), bundle.profile)
     rgb = np.ascontiguousarray(bundle.region.crop(picture))
-    dots, part = bundle.manifest.dots, bundle.registration
-    filled = rgb if dots is None else dots.open().fill(rgb)
+    part, prepared = bundle.registration, bundle.prepare(rgb)
     light = None if then.light is None else FollowedLight(*then.light)
-    filled = filled if light is None else light.restore(filled, bundle.region, bundle.profile.size)
+    prepared = prepared if light is None else light.restore(prepared, bundle.region, bundle.profile.size)
     blame = Blame(Cause.UNSURE, "see the recorded result")
     press = Press(
         press_id=press_id,
@@ -250,7 +249,7 @@ def draw_archived(
         rgb=rgb,
         score_map=archive.read_map(then),
         verdict=Verdict(Kind(then.verdict), then.score, then.threshold, 0.0),
-        registered=None if part is None else part.open().register(filled),
+        registered=None if part is None else part.open().register(prepared),
         light=light,
         scars=None if then.masked is None else ScarFindings(blame, archive.read_masked(then)),
         judged=JudgedFrame(CameraFrame(frame, 0, 0), Touch(*then.touch), archive.read_reference(then)),

@@ -30,6 +30,7 @@ from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.image_bytes import kind, picture_size
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.imaging.smoothing import smooth
 from edge.model.archive import MANIFEST, MAX_FILE_BYTES, Archive, open_archive
 from edge.model.manifest import (
     REGION_WEIGHTS,
@@ -234,6 +235,12 @@ class Bundle:
             registration=_read_registration(archive, manifest.registration, manifest.frame),
             nominal_pictures=_read_nominal_pictures(archive, manifest.nominal_pictures),
         )
+
+    def prepare(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Fill marker dots in a picture of the region, uint8 (h, w, 3), and smooth it, as in the learnt presses."""
+        dots = self.manifest.dots
+        filled = rgb if dots is None else dots.opened.fill(rgb)
+        return smooth(filled) if self.manifest.is_smoothed else filled
 
     @property
     def profile(self) -> SensorProfile:

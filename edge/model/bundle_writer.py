@@ -133,8 +133,8 @@ def rewrite_files(
 
 def manifest_bytes(manifest: Manifest) -> bytes:
     """The manifest's file; its SHA-256 is the bundle's identity. Older programs read it where nothing newer is set."""
-    newer = ("revision", "registration", "dots", "regions", "nominal_pictures")
-    unset = {name for name in newer if getattr(manifest, name) is None}
+    newer = ("revision", "registration", "dots", "is_smoothed", "regions", "nominal_pictures")
+    unset = {name for name in newer if getattr(manifest, name) in (None, False)}
     return (
         json.dumps(manifest.model_dump(mode="json", exclude=unset), indent=1, ensure_ascii=False) + "\n"
     ).encode()

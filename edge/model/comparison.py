@@ -26,8 +26,7 @@ def compare_press(
         return None
     row, column = divmod(int(score_map.argmax()), score_map.shape[1])
     if registered is None:
-        dots = bundle.manifest.dots
-        return pictures.compare(rgb if dots is None else dots.open().fill(rgb), (column, row), scale)
+        return pictures.compare(bundle.prepare(rgb), (column, row), scale)
     back, (h, w) = registered.pose.inverse(), score_map.shape
     x, y = back.matrix((w, h)) @ np.array([column, row, 1.0])
     found = pictures.compare(registered.rgb, (float(x), float(y)), scale)

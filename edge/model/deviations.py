@@ -47,7 +47,9 @@ class DeviationMeter:
             ground, at_fit = np.asarray(bundle.free_region, np.float32), _view(bundle)
             self._good = bundle.digest, [self._heights(one, ground, at_fit, bundle) for one in _good(bundle)]
         whole = cv2.resize(free, bundle.profile.size, interpolation=cv2.INTER_CUBIC)
-        heights = self._heights(press.rgb, bundle.region.crop(np.asarray(whole, np.float32)), free, bundle)
+        heights = self._heights(
+            bundle.prepare(press.rgb), bundle.region.crop(np.asarray(whole, np.float32)), free, bundle
+        )
         size = heights.shape[1], heights.shape[0]
         good = [_lay(one, press.registered, bundle.region.width) for one in self._good[1]]
         above = [_places(one, judged, size) for one in defects]

@@ -61,7 +61,7 @@ class Inspector:
         colours = self.bundle.manifest.colours
         self._colours = colours.nominal() if colours else None
         free = None if self.bundle.blind is None else self.bundle.free_region
-        self._free = None if free is None else scorer.fill_dots(free)
+        self._free = None if free is None else self.bundle.prepare(free)
         self.expected = find_expected_reach(
             [
                 press.rgb
@@ -72,7 +72,7 @@ class Inspector:
             self.bundle.bank.get(USUAL_CONTACT),
             self.bundle.region,
             self.bundle.profile.size,
-            scorer.fill_dots,
+            self.bundle.prepare,
         )
 
     def inspect(
@@ -164,37 +164,37 @@ class Inspector:
         rgb = np.ascontiguousarray(self.bundle.region.crop(picture))
         press = Press(rgb=rgb, light=self.light, latency_ms=latency)
         started_ns = self._clock.monotonic_ns()
-        filled = self.scorer.fill_dots(rgb)
-        if filled is not rgb:
+        prepared = self.bundle.prepare(rgb)
+        if self.bundle.manifest.dots is not None:
             latency["dots"] = (self._clock.monotonic_ns() - started_ns) / 1e6
-        filled = self.restore_light(filled)
+        prepared = self.restore_light(prepared)
         rejection = check_light(picture)
         if rejection is None and self._colours is not None:
-            rejection = check_sensor(filled, self._colours)
+            rejection = check_sensor(prepared, self._colours)
         contact = self.bundle.manifest.contact
         if rejection is None and contact is not None and touch is not None:
             rejection = check_contact(touch, contact, self.bundle.profile.size)
         if rejection is not None:
             return press.reject(rejection)
-        return self._score(press, filled)
+        return self._score(press, prepared)
 
     def score_map(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32] | None:
         """Score another picture of the region, uint8 (h, w, 3); float32 (h, w), None where it cannot be scored."""
         try:
-            return self.scorer.score_filled(self.restore_light(self.scorer.fill_dots(rgb))).score_map
+            return self.scorer.score_prepared(self.restore_light(self.bundle.prepare(rgb))).score_map
         except (PoseNotFound, NotScorable):
             return None
 
-    def _score(self, press: Press, filled: NDArray[np.uint8]) -> Press:
+    def _score(self, press: Press, prepared: NDArray[np.uint8]) -> Press:
         latency = dict(press.latency_ms)
         try:
-            scored = self.scorer.score_filled(filled)
+            scored = self.scorer.score_prepared(prepared)
             verdict = self.bundle.manifest.decide(scored.anomaly_score)
         except PoseNotFound as error:
             return press.reject(Rejection(Reason.NO_POSE, Sentence(str(error))))
         except NotScorable as error:
             return replace(press, error=str(error))
-        if verdict.kind in (Kind.PASS, Kind.UNSURE) and not self._touches_judged(filled, scored.registered):
+        if verdict.kind in (Kind.PASS, Kind.UNSURE) and not self._touches_judged(prepared, scored.registered):
             return press.reject(
                 Rejection(
                     Reason.ALL_IGNORED,
@@ -215,13 +215,13 @@ class Inspector:
             registered=scored.registered,
         )
 
-    def _touches_judged(self, filled: NDArray[np.uint8], registered: Registered | None) -> bool:
+    def _touches_judged(self, prepared: NDArray[np.uint8], registered: Registered | None) -> bool:
         """Tell whether a press touches the gel where it is judged."""
         blind, profile = self.bundle.blind, self.bundle.profile
         if blind is None or self._free is None:
             return blind is None
         if registered is not None:
             blind = registered.unseen_in_press | registered.mask_in_press(blind)
-        contact = find_contact(filled, self._free, profile.size)
+        contact = find_contact(prepared, self._free, profile.size)
         x_mm, y_mm = profile.mm_per_pixel
         return bool(np.count_nonzero(contact & ~blind) * x_mm * y_mm >= LEAST_JUDGED_MM2)

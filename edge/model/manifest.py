@@ -255,7 +255,8 @@ class Provenance(Entry):
 
 class Facts(Entry):
     """The manifest without the list of files. revision: rises with every fit of this position; None in old bundles.
-    regions: those that a person has drawn; None where none ever was."""
+    is_smoothed: whether presses are smoothed before they are scored, as they were before they were learnt. regions:
+    those that a person has drawn; None where none ever was."""
 
     schema_version: Literal[1] = 1
     part: Name
@@ -275,6 +276,7 @@ class Facts(Entry):
     strength: NominalStrength | None = None
     colours: ColourEntry | None = None
     dots: DotsEntry | None = None
+    is_smoothed: bool = False
     regions: DrawnRegions | None = None
     cost: CostCard | None = None
     accuracy: dict[str, float] | None = None

@@ -4,6 +4,7 @@ The limits are the program's: a manifest cannot raise them.
 """
 
 import math
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import numpy as np
@@ -150,13 +151,14 @@ class DotsEntry(Entry):
         places = tuple((float(x), float(y)) for x, y in dots.places)
         return cls(places=places, apart_px=dots.apart_px, width_px=dots.width_px, darker=dots.darker)
 
-    def open(self) -> "MarkerDots":
-        """Make what fills them in presses."""
+    @cached_property
+    def opened(self) -> "MarkerDots":
+        """What fills them in presses."""
         from edge.core.imaging.marker_dots import MarkerDots
 
         return MarkerDots(np.array(self.places), self.apart_px, self.width_px, self.darker)
 
     @model_validator(mode="after")
     def _apart(self) -> "DotsEntry":
-        self.open()
+        _ = self.opened
         return self

@@ -90,29 +90,31 @@ class Scorer:
         self._free: FreeGel | None = None
         self._open_tiles(is_skipping)
         self._pipe = self._open_pipe()
-        self._dots = None if bundle.manifest.dots is None else bundle.manifest.dots.open()
         self._registrar = None if bundle.registration is None else bundle.registration.open()
         self._beside: tuple[Mapping[str, ort.OrtValue], Pipe] | None = None
         manifest, free = bundle.manifest, bundle.manifest.free_gel
         # Bundles with equal ones compute the same features of a press.
         pose = manifest.registration and manifest.registration.model_copy(update={"gel_limits": None})
-        self._trunk_facts = (sha256, manifest.grid, manifest.dots, pose, free and free.sha256)
+        self._trunk_facts = (
+            sha256,
+            manifest.grid,
+            manifest.dots,
+            manifest.is_smoothed,
+            pose,
+            free and free.sha256,
+        )
 
     @property
     def tiles_run(self) -> int:
         """The number of runs of the trunk on a tile; 0 for a trunk without tiles."""
         return 0 if self._runner is None else self._runner.runs
 
-    def fill_dots(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Fill the dots of a marker gel in the region, uint8 (h, w, 3); the same array where the gel has none."""
-        return rgb if self._dots is None else self._dots.fill(rgb)
-
     def score(self, rgb: NDArray[np.uint8]) -> Scored:
-        """Score one press of the inspected region as the camera shows it. Errors as `score_filled`."""
-        return self.score_filled(self.fill_dots(rgb))
+        """Score one press of the inspected region as the camera shows it. Errors as `score_prepared`."""
+        return self.score_prepared(self.bundle.prepare(rgb))
 
-    def score_filled(self, rgb: NDArray[np.uint8]) -> Scored:
-        """Score one press of the inspected region, its marker dots filled. rgb: uint8 (h, w, 3).
+    def score_prepared(self, rgb: NDArray[np.uint8]) -> Scored:
+        """Score one press of the inspected region as `Bundle.prepare` returns it. rgb: uint8 (h, w, 3).
 
         A bundle with registration brings it to the bank's pose first; the map is then of the press again, and places
         that the bank does not know, or that have left the field, count neither for the score nor in the map. Errors:
@@ -130,9 +132,9 @@ class Scorer:
 
     def score_beside(self, other: "Scorer", rgb: NDArray[np.uint8], registered: Registered | None) -> Scored:
         """Score a press that `other` has just scored: by its pose and its features, where this bundle would find the
-        same. rgb, registered: as for `score_filled`, and as `other` has registered it. Errors as `score_filled`."""
+        same. rgb, registered: as for `score_prepared`, and as `other` has registered it. Errors as `score_prepared`."""
         if self._trunk is None or self._trunk_facts != other._trunk_facts:
-            return self.score_filled(rgb)
+            return self.score_prepared(rgb)
         in_pose = rgb if registered is None else registered.rgb
         features = other._pipe.find_features(in_pose)
         if features is None or not self._taps.keys() <= features.keys():

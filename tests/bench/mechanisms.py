@@ -1,7 +1,7 @@
 """What a complete fit is made of, each measured by fits without it and by fits with it alone."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
 from unittest.mock import patch
@@ -10,17 +10,18 @@ import numpy as np
 
 from calibration.experiments.backbones.sets import PROFILE, REGION
 from calibration.experiments.harness.markdown import markdown_table
-from calibration.fitting import fit
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
+from calibration.fitting.presses import preparation
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import open_trunk
 from edge import registry
 
-FREE_GEL, REGISTRATION, SURROUNDINGS, DOTS, TRUNK = MECHANISMS = (
+FREE_GEL, REGISTRATION, SURROUNDINGS, DOTS, SMOOTHING, TRUNK = MECHANISMS = (
     "free gel",
     "registration",
     "surroundings",
     "dots filled",
+    "smoothing",
     "tactile_lite0",
 )
 """What a fit can be measured without."""
@@ -30,6 +31,7 @@ USES: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
     REGISTRATION: lambda row: bool(row["is_registered"]),
     SURROUNDINGS: lambda row: row["limit"] == "surroundings",
     DOTS: lambda row: bool(row["has_dots"]),
+    SMOOTHING: lambda row: True,
     TRUNK: lambda row: row["trunk"] == "tactile_lite0",
 }
 """Whether the complete fit of a row uses it, by name."""
@@ -68,8 +70,10 @@ def fit_with(parts: Collection[str], presses: NominalPresses, method: str, backb
     config = FitConfig(
         "part", "top", PROFILE, REGION, detector, trunk, **{"register": "auto", "augment": "auto", **changes}
     )
-    leave = patch.object(fit, "take_out_dots", lambda presses, *_: presses)  # no setting of a fit
-    with nullcontext() if DOTS in parts else leave:
+    with ExitStack() as left:
+        for part, step in ((DOTS, "take_out_dots"), (SMOOTHING, "smooth_presses")):
+            if part not in parts:  # no settings of a fit
+                left.enter_context(patch.object(preparation, step, lambda presses, *_: presses))
         return fit_files(presses, config, created="2026-01-01")
 
 

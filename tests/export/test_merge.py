@@ -39,6 +39,24 @@ def test_any_runtime_gets_the_bundles_scores(bundle: Bundle) -> None:
     np.testing.assert_allclose(score_map, [s.score_map for s in expected], rtol=1e-5, atol=1e-7)
 
 
+def test_a_smoothed_bundle_smooths_in_the_graph(tmp_path: Path) -> None:
+    """Of the camera's frame it gives the gateway's score; around a bundle the gateway smooths, and does so once."""
+    frames, smoothed = (
+        tiny.presses(2),
+        Bundle.in_memory(*tiny.tiny_files(tiny.tiny_bank(0.47), is_smoothed=True)),
+    )
+    expected = [Scorer(smoothed).score(frame) for frame in frames]
+    merge_bundle(smoothed, tmp_path / "detector.onnx")
+    merge_bundle(smoothed, tmp_path / "single", as_bundle=True)
+    session = ort.InferenceSession(tmp_path / "detector.onnx", providers=["CPUExecutionProvider"])
+    score_map, score = session.run(["score_map", "score"], {"frames": frames})
+    np.testing.assert_array_equal(score, [one.anomaly_score for one in expected])
+    np.testing.assert_array_equal(score_map, [one.score_map for one in expected])
+    single = Scorer(Bundle.load(tmp_path / "single"))
+    assert [single.score(frame).anomaly_score for frame in frames] == score.tolist()
+    assert Scorer(smoothed).score_prepared(frames[0]).anomaly_score != score[0]
+
+
 def test_drawn_regions_are_in_the_graph(bundle: Bundle, tmp_path: Path) -> None:
     """Another runtime weighs the map as the gateway does."""
     golden = GoldenFrame(tiny.presses(1)[0], "a press", 0.0, ((0.0,),))

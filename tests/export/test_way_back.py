@@ -62,6 +62,19 @@ def test_the_example_scores_as_the_gateway(tmp_path: Path, packing: str, name: s
     )
 
 
+def test_the_example_smooths_a_frame_of_ones_own(tmp_path: Path) -> None:
+    """As the gateway does; golden frames are smoothed already."""
+    changes = {"bank": tiny.tiny_bank(0.47), "is_smoothed": True}
+    plain = Scorer(Bundle.in_memory(*tiny.tiny_files(**changes)))
+    golden = GoldenFrame(smooth(0), "frame", plain.score_prepared(smooth(0)).anomaly_score, ((0.0,),))
+    write_bundle(tmp_path / "bolt", tiny.tiny_files(**changes, golden=[golden])[1])
+    np.save(tmp_path / "press.npy", smooth(7))
+    assert scored(tmp_path / "bolt") == f"frame: score {golden.score:.6g}, expected {golden.score:.6g}\n"
+    expected = plain.score(smooth(7)).anomaly_score
+    assert f"score {expected:.6g}, " in scored(tmp_path / "bolt", tmp_path / "press.npy")
+    assert f"{expected:.6g}" != f"{plain.score_prepared(smooth(7)).anomaly_score:.6g}"
+
+
 def test_the_example_runs_tiles(tmp_path: Path) -> None:
     """Two tiles next to each other: the features are placed as the gateway places them."""
     tiles = Tiles((32, 64), 32, (0,), (0, 32))

@@ -20,6 +20,7 @@ from tiny_fit import presses as tiny_presses
 from calibration.fitting.carry import CarryConfig, carry_bundle
 from calibration.fitting.fit import Fitted, fit_files
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
+from calibration.fitting.presses.preparation import prepare_as
 from calibration.fitting.regions.drawing import draw_regions
 from edge.core.drawn_regions import DrawnRegion
 from edge.core.errors import FitError
@@ -117,7 +118,7 @@ def test_drawn_regions_are_carried_over(tmp_path: Path) -> None:
 
 def test_its_golden_frames_are_presses_on_the_new_gel() -> None:
     """A station that scores them again checks what it inspects with."""
-    frames = {frame.tobytes() for frame in pressed(8).frames}
+    frames = {frame.tobytes() for frame in prepare_as(old(), pressed(8)).frames}
 
     assert [golden.rgb.tobytes() in frames for golden in new().golden] == [True, True, False]
     assert Scorer(new(), 1).check_golden() <= new().manifest.tolerance.score
@@ -139,7 +140,7 @@ def test_it_promises_what_eight_presses_show_and_no_more() -> None:
     """1 in 9 on average; 1 - .1^(1/8) = 25 % for this bundle, 90 % sure. The limit is that of the new scores alone: a
     quarter of their spread above the highest, the rule of a fit with too few presses for its rate."""
     limit = new().manifest.threshold
-    scores = [scored.anomaly_score for scored in Scorer(old(), 1).score_batch(pressed(8).frames)]
+    scores = [Scorer(old(), 1).score(rgb).anomaly_score for rgb in pressed(8).frames]
     assert limit.nominal_scores == pytest.approx(sorted(scores), rel=1e-5)
     assert limit.value == pytest.approx(1.25 * max(scores) - 0.25 * np.median(scores), rel=2e-3)
     assert limit.alpha_floor == pytest.approx(1 / 9)
@@ -157,8 +158,8 @@ def test_of_one_piece_nothing_is_promised_of_others() -> None:
 
 def learnt() -> NominalPresses:
     """Eight presses, the third of them a press that the bundle was learnt from."""
-    frames = pressed(8).frames.copy()
-    frames[2] = old().golden[0].rgb
+    frames, golden = pressed(8).frames.copy(), old().golden[0].rgb
+    frames[2] = next(rgb for rgb in pressed(12, 1, OLD).frames if (old().prepare(rgb) == golden).all())
     return replace(pressed(8), frames=frames)
 
 

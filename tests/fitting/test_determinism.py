@@ -56,7 +56,7 @@ def beyond(found: list[Scored], expected: list[Scored], bundle: Bundle) -> float
 def test_scores_repeat(bundle: Bundle) -> None:
     """Runs to the bit; 1, 3 and 8 frames at once on 1, 2 and 4 threads within the tolerance, and within 1e-5."""
     asked = frames(8, 5)
-    first, again = ([run.score(frame) for frame in asked] for run in (Scorer(bundle), Scorer(bundle)))
+    first, again = ([run.score_in_pose(frame) for frame in asked] for run in (Scorer(bundle), Scorer(bundle)))
     for one, other in zip(first, again, strict=True):
         np.testing.assert_array_equal(one.score_map, other.score_map)
         assert one.anomaly_score == other.anomaly_score

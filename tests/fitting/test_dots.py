@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tiny
 from command_line import gelgate, refuse_by_example
 from marker_gel import dotted, lattice, light, spread
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from calibration.fitting.carry import CarryConfig, carry_bundle
 from calibration.fitting.fit import Fitted, fit_files
 from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
+from calibration.fitting.presses.preparation import prepare_presses
 from edge.clock import SystemClock
 from edge.core.errors import BundleCorrupt, BundleMismatch
 from edge.core.imaging.frames import CameraFrame
@@ -99,7 +101,7 @@ def test_without_dots_nothing_changes() -> None:
 
 
 def test_the_published_methods_learn_dots_as_they_are() -> None:
-    assert take_out_dots(pressed(), SENSOR.pixels_per_mm, "paper") is pressed()
+    assert prepare_presses(pressed(), SENSOR.pixels_per_mm, "paper") is pressed()
 
 
 @pytest.mark.parametrize(
@@ -128,7 +130,7 @@ def test_a_free_gel_without_dots_has_none_whatever_presses_show() -> None:
 def test_the_gateway_fills_what_the_fit_filled() -> None:
     """A nominal press scores at the gateway as the bank has it, and the press keeps the camera's picture."""
     scorer, press = Scorer(fitted().bundle(), 1), picture(3)
-    learnt = take_out_dots(pressed(), SENSOR.pixels_per_mm).frames[2]
+    learnt = prepare_presses(pressed(), SENSOR.pixels_per_mm).frames[2]
     png = cv2.imencode(".png", np.ascontiguousarray(press[..., ::-1]))[1].tobytes()
     frame = CameraFrame(png, 0, 0, is_on_demand=True)
     found = Inspector(scorer, SystemClock()).inspect(frame, pressed().touches[2])
@@ -157,9 +159,7 @@ def test_a_bundle_without_dots_says_nothing_of_them() -> None:
     """Older programs read it: its bytes are those of before."""
     files = fitted(has_dots=False).files
     assert "dots" not in json.loads(files["manifest.json"])
-    rgb = REGION.crop(picture(3, has_dots=False)).copy()
-    scorer = Scorer(fitted(has_dots=False).bundle(), 1)
-    assert scorer.fill_dots(rgb) is rgb
+    assert "is_smoothed" not in json.loads(tiny.tiny_files()[1]["manifest.json"])
 
 
 @pytest.mark.parametrize(

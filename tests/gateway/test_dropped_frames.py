@@ -49,13 +49,13 @@ def test_a_bundle_that_scores_slowly_judges_every_press(
     """Meanwhile so many frames come; more than 15 of them are dropped. The press is scored when it rests, not before:
     its rest would be interrupted, again and again."""
     scorer = station.parts.selection.inspector.scorer
-    score = scorer.score_filled
+    score = scorer.score_prepared
 
     def score_slowly(rgb: NDArray[np.uint8]) -> Scored:
         station.read(frames)
         return score(rgb)
 
-    monkeypatch.setattr(scorer, "score_filled", score_slowly)
+    monkeypatch.setattr(scorer, "score_prepared", score_slowly)
     station.play()
     station.look()
 

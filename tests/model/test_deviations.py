@@ -57,6 +57,7 @@ def bundle() -> Any:
         golden=[SimpleNamespace(rgb=good, what="a nominal press")],
         manifest=SimpleNamespace(dots=None, frame=(240, 320)),
         blind=None,
+        prepare=lambda rgb: rgb,
     )
 
 

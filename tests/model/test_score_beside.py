@@ -46,15 +46,16 @@ def test_the_features_of_the_other_are_taken() -> None:
     assert runs() == 0
 
 
-def test_dots_that_are_filled_are_not_filled_again() -> None:
+def test_what_is_prepared_is_not_prepared_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """A press is brought to another light after its dots are filled, so filling again would change it."""
-    filled = tiny.presses(1)[0]
+    prepared = tiny.presses(1)[0]
     other, scorer = Scorer(plain()), Scorer(plain(0.4))
-    other._dots, scorer._dots = Mock(), Mock()
-    other.score_filled(filled)
+    expected = alone(scorer, prepared).anomaly_score
+    monkeypatch.setattr(Bundle, "prepare", prepare := Mock())
+    other.score_prepared(prepared)
 
-    assert scorer.score_beside(other, filled, None).anomaly_score == alone(scorer, filled).anomaly_score
-    assert not scorer._dots.fill.called
+    assert scorer.score_beside(other, prepared, None).anomaly_score == expected
+    assert not prepare.called
 
 
 @pytest.mark.parametrize("between", ["another frame", "a batch", "nothing at all", "a fault"])
@@ -86,7 +87,8 @@ def test_where_the_two_would_compute_others_it_is_scored_alone() -> None:
         Scorer(registered().bundle()),
         Scorer(fitted(nominal(parts.anywhere(parts.BLOCK, 8)[1])).bundle()),
     )
-    found = scorer.score_beside(other, press, other.score(press).registered)
+    prepared = scorer.bundle.prepare(press)
+    found = scorer.score_beside(other, prepared, other.score(press).registered)
 
     assert found.anomaly_score == alone(scorer, press).anomaly_score
     assert found.registered is None

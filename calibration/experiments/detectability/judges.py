@@ -14,8 +14,8 @@ from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.limits.held_out import Learner, TapReader
 from calibration.fitting.pose.registration import in_pose_of
 from calibration.fitting.presses.augmentation import Copies
-from calibration.fitting.presses.dots import fill_dots
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.fitting.presses.preparation import prepare_as
 from edge import registry
 from edge.core.detector import Nominal
 from edge.core.errors import DatasetError, PoseNotFound
@@ -123,20 +123,14 @@ def _apart(bundle: Bundle, presses: NominalPresses) -> list[int]:
     origin = bundle.manifest.provenance
     known = {*origin.presses, *origin.left_out}
     apart = [k for k, name in enumerate(presses.names) if name not in known]
-    golden, filled = {frame.rgb.tobytes() for frame in bundle.golden}, _fill_dots(bundle, presses)
+    golden, prepared = {frame.rgb.tobytes() for frame in bundle.golden}, prepare_as(bundle, presses)
     for k in apart:
-        if filled.frames[k].tobytes() in golden:
+        if prepared.frames[k].tobytes() in golden:
             raise DatasetError(
                 f"press {presses.names[k]} is one that bundle {bundle.where} has learnt, under another name; give the "
                 "sources of the fit as they were, or presses that it has not learnt"
             )
     return apart
-
-
-def _fill_dots(bundle: Bundle, presses: NominalPresses) -> NominalPresses:
-    """Fill marker dots as in the learnt presses."""
-    dots = bundle.manifest.dots
-    return presses if dots is None else fill_dots(presses, dots.open())
 
 
 def _require_complete(bundle: Bundle, found: int, apart: int) -> None:
@@ -198,7 +192,7 @@ def _learner(bundle: Bundle, learnt: NominalPresses, threads: int) -> tuple[Lear
     detector, seed = registry.detector(manifest.method), manifest.provenance.seed or 0
     settings = {name: value for name, value in manifest.parameters.items() if name != "mode"}
     parameters = detector.parameters(manifest.mode or "corrected", **settings)
-    learnt = _fill_dots(bundle, learnt)
+    learnt = prepare_as(bundle, learnt)
     trunk, frame = bundle.graphs.trunk or b"", learnt.frames.shape[1:3]
     where = f"bundle {bundle.where}: trunk.onnx"
     reader = TapReader(trunk, detector.taps(parameters), frame, scale, threads, where)

@@ -61,9 +61,9 @@ def change_presses(
     return ChangedPresses(
         np.array(list(shown)),
         (
-            change_each(lambda one: relight(one.rgb, rng)),
-            change_each(lambda one: dim(one.rgb, DIMMED)),
-            change_each(lambda one: weaken(one.rgb, one.station.free, FAINTER)),
+            change_each(lambda one: relight(one.show(one.rgb), rng)),
+            change_each(lambda one: dim(one.show(one.rgb), DIMMED)),
+            change_each(lambda one: weaken(one.show(one.rgb), one.station.free, FAINTER)),
         ),
         tuple(change_each(lambda one, mm=mm: one.smooth(mm)) for mm in SMOOTHED_MM),  # type: ignore[misc]
     )

@@ -21,6 +21,7 @@ from calibration.simulator.field_of_view import F32, grids
 from calibration.simulator.renderer import MASK_DEPTH_MM
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.imaging.smoothing import smooth
 
 __all__ = ["EditedPress", "compress", "edit_touching", "is_compressed"]
 
@@ -83,6 +84,12 @@ class EditedPress:
     station: Station
     rgb: U8
     """The press, uint8 (h, w, 3) of the station's region."""
+    is_smoothed: bool = False
+    """Whether it is shown smoothed: only after damage was rendered into it."""
+
+    def show(self, rgb: U8) -> U8:
+        """Show a picture of it as presses are learnt."""
+        return smooth(rgb) if self.is_smoothed else rgb
 
     @cached_property
     def surface(self) -> F32:
@@ -121,7 +128,7 @@ class EditedPress:
     def _show(self, surface: F32) -> U8:
         """The press with this surface instead of its own."""
         rgb = np.clip(np.rint(self._seen + self.station.light(surface) - self._lit), 0, 255).astype(np.uint8)
-        return rgb if self._seen is self.rgb else compress(rgb, self.station.region)
+        return self.show(rgb if self._seen is self.rgb else compress(rgb, self.station.region))
 
     @cached_property
     def _seen(self) -> U8 | F32:
@@ -158,5 +165,6 @@ def edit_touching(
     free = np.asarray(presses.no_contact.mean(axis=0, dtype=np.float64), np.float32)
     station = Station(profile, region, free)
     order = rng.permutation(len(presses)).tolist()
-    edits = {k: EditedPress(station, presses.frames[k]) for k in order[:most]}
+    is_smoothed, frames = presses.raw is not None, presses.frames if presses.raw is None else presses.raw
+    edits = {k: EditedPress(station, frames[k], is_smoothed) for k in order[:most]}
     return {k: one for k, one in edits.items() if one.contact.any()}

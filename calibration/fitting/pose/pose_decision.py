@@ -118,7 +118,7 @@ class PoseChoice:
         if self.learnt is None:
             return presses
         touches = tuple(replace(touch, x=0.5, y=0.5) for touch in presses.touches)
-        return replace(presses, frames=self.learnt.frames, touches=touches, touched=None)
+        return replace(presses, frames=self.learnt.frames, raw=None, touches=touches, touched=None)
 
     def show(self, nominal: Nominal, take: Take) -> ShownPresses:
         """Return the nominal presses as the gateway shows them to the bank: what a press does not show is the mean
@@ -266,10 +266,7 @@ class _Proof:
     ) -> "_Proof | None":
         """Hold a third out; None where no damage can be rendered."""
         held = list(range(0, len(presses), _HELD_OUT))
-        only = NominalPresses(
-            presses.frames[held], tuple(presses.names[k] for k in held), no_contact=presses.no_contact
-        )
-        edited = render_damage(only, *view, np.random.default_rng(learner.seed), _PROOF_SIZES)
+        edited = render_damage(presses.choose(held), *view, np.random.default_rng(learner.seed), _PROOF_SIZES)
         if edited is None:
             return None
         sizes = range(len(_PROOF_SIZES))

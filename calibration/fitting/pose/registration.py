@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import FitError
 from edge.core.registration.coarse import CoarseSearch
-from edge.core.registration.colours import FreeLight, SlopeColours
+from edge.core.registration.colours import FreeLight, SlopeColours, curl_share
 from edge.core.registration.fine import Alignment
 from edge.core.registration.pose import Pose, Registered
 from edge.core.registration.registrar import (
@@ -150,6 +150,8 @@ class _Aligned:
     symmetry: int
     """As `PartInPose.symmetry`."""
     colours: SlopeColours
+    is_held: bool = False
+    """Whether presses of a part that repeats itself have one turn among those that look the same."""
     doubts: frozenset[int] = frozenset()
     """How often the part nearly looks the same in a full turn, as `symmetry`: presses may lie turned by so much."""
 
@@ -218,7 +220,8 @@ def _find_others(every: Sequence[F32], chosen: Sequence[int], aligned: _Aligned)
 
 def _align(small: Sequence[F32]) -> _Aligned:
     """Align presses by the colours of slopes and by their mirror image, the wrong one no longer than it may be right,
-    and with other first presses where the part has a turn. Errors: FitError.
+    and with other first presses where the part has a turn. Presses that hardly turn agree by both: then the mean press
+    is a surface by the right one. Errors: FitError.
     """
     try:
         colours = SlopeColours.of(np.concatenate([one.reshape(-1, 3) for one in small]))
@@ -230,7 +233,7 @@ def _align(small: Sequence[F32]) -> _Aligned:
     for rounds in (_ROUND_ROUNDS, _MOST_ROUNDS):
         near = _hear(tried)
         tried = [both[k].settle(rounds) if one in near else one for k, one in enumerate(tried)]
-        best = max(tried, key=lambda one: one.typical)
+        best = min(_hear(tried), key=lambda one: curl_share(_mean_slopes(small, one)))
         if _is_round(small, tried):
             return _Alignment(small, first, best.colours, is_turning=False).settle()
     best = _agree([best, *(_Alignment(small, one, best.colours).settle() for one in others)])
@@ -266,9 +269,14 @@ def _is_round(small: Sequence[F32], tried: Sequence[_Aligned]) -> bool:
 
 def _roundness(small: Sequence[F32], aligned: _Aligned) -> float:
     """Measure how well the mean press agrees with itself at any turn, by these colours of slopes."""
-    mean, learnt = _mean(small, aligned.poses, aligned.colours)
-    slopes = shrunk(aligned.colours.slopes(mean * learnt[..., None]), SIDE_PX // 2)
+    slopes = shrunk(_mean_slopes(small, aligned), SIDE_PX // 2)
     return CoarseSearch(slopes, _ROUND_TURNS).roundness(slopes)
+
+
+def _mean_slopes(small: Sequence[F32], aligned: _Aligned) -> F32:
+    """Compute the slopes of the mean press, float32 (h, w, 2)."""
+    mean, learnt = _mean(small, aligned.poses, aligned.colours)
+    return aligned.colours.slopes(mean * learnt[..., None])
 
 
 def _look_alike(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
@@ -277,9 +285,9 @@ def _look_alike(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
     Where that is so of some presses alone, the turn is in doubt: what breaks the symmetry does not show in those. Of
     two turns that fit equally well the light prefers the smaller one, so turns that repeat do not show it.
     """
-    mean, learnt = _mean(small, aligned.poses, aligned.colours)
-    search = PoseSearch(aligned.colours.slopes(mean * learnt[..., None]))
-    slopes = [aligned.colours.slopes(one) for one in small[:_LOOKED_AT]]
+    search = PoseSearch(_mean_slopes(small, aligned))
+    every = [aligned.colours.slopes(one) for one in small]
+    slopes = every[:_LOOKED_AT]
     found = [search.find(one) for one in slopes]
 
     def loses(n: int) -> list[float]:
@@ -295,7 +303,12 @@ def _look_alike(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
     lost = {n: loses(n) for n in range(_MOST_SYMMETRY, 1, -1)}
     alike = next((n for n, each in lost.items() if np.median(each) < _ALIKE), 1)
     doubts = aligned.doubts | {n for n, each in lost.items() if min(each) < _ALIKE}
-    return replace(aligned, symmetry=max(aligned.symmetry, alike), doubts=doubts)
+    symmetry = max(aligned.symmetry, alike)
+    if symmetry > 1:  # of turns that look the same all presses have the first one's, where they were held so
+        held = [search.find(one, 0.0) for one in every]
+        if all(one.match > search.find(press).match - _ALIKE for one, press in zip(held, every, strict=True)):
+            aligned = replace(aligned, poses=[one.pose for one in held], is_held=True)
+    return replace(aligned, symmetry=symmetry, doubts=doubts)
 
 
 def _doubt(aligned: _Aligned) -> int:
@@ -325,7 +338,13 @@ def _average(light: FreeLight, added: Sequence[F32], aligned: _Aligned) -> PartI
     template = light.picture(mean * learnt[..., None])
     # A round part shows other light towards the end of the field, and its colours are not turned with it.
     return PartInPose(
-        free, template, learnt, aligned.colours, aligned.symmetry, scores_relief_to_end=aligned.symmetry > 0
+        free,
+        template,
+        learnt,
+        aligned.colours,
+        aligned.symmetry,
+        is_held=aligned.is_held,
+        scores_relief_to_end=aligned.symmetry > 0,
     )
 
 

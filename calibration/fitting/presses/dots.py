@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from calibration.fitting.presses.free_gel import find_common_dots
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from calibration.fitting.presses.strangers import list_names
-from edge.core.detector import Mode
 from edge.core.imaging.marker_dots import MarkerDots, find_marker_dots, shows_marker_dots
 
 __all__ = ["fill_dots", "take_out_dots"]
@@ -19,14 +18,12 @@ __all__ = ["fill_dots", "take_out_dots"]
 U8 = NDArray[np.uint8]
 
 
-def take_out_dots(presses: NominalPresses, pixels_per_mm: float, mode: Mode = "corrected") -> NominalPresses:
+def take_out_dots(presses: NominalPresses, pixels_per_mm: float) -> NominalPresses:
     """Find the dots of a marker gel and fill them in presses and free gel.
 
-    The same presses where there are none, and in the mode `paper`: the published methods learn them as they are. Faults
-    name the presses of another gel: without the dots that the others have, or with dots.
+    The same presses where there are none. Faults name the presses of another gel: without the dots that the others
+    have, or with dots.
     """
-    if mode == "paper":
-        return presses
     dots = _find(presses, pixels_per_mm)
     mixed = _find_mixed(presses, pixels_per_mm, dots is not None)
     if mixed:

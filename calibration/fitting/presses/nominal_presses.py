@@ -87,6 +87,8 @@ class NominalPresses:
     """The presses in their order, where they are frames of one film."""
     dots: MarkerDots | None = None
     """The dots of a marker gel, filled in the pictures; None where they are none, or are not filled."""
+    raw: NDArray[np.uint8] | None = None
+    """The pictures before they were smoothed, (n, h, w, 3); None where they are not smoothed."""
 
     def __post_init__(self) -> None:
         if self.frames.ndim != 4 or self.frames.shape[3] != 3 or self.frames.dtype != np.uint8:
@@ -113,7 +115,8 @@ class NominalPresses:
     def choose(self, rows: Sequence[int]) -> "NominalPresses":
         """Return these presses alone."""
         kept = {name: tuple(getattr(self, name)[k] for k in rows if getattr(self, name)) for name in _EACH}
-        return replace(self, frames=self.frames[list(rows)], film=(), **kept)  # type: ignore[arg-type]
+        raw = None if self.raw is None else self.raw[list(rows)]
+        return replace(self, frames=self.frames[list(rows)], raw=raw, film=(), **kept)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)

@@ -228,7 +228,7 @@ def _measure_contact(old: Bundle, weights: F32) -> dict[str, Any]:
             "be noticed; fit it again with pictures of the free gel (--no-contact)"
         )
     x_mm, y_mm = old.profile.mm_per_pixel
-    free = free if old.manifest.dots is None else old.manifest.dots.open().fill(free)
+    free = old.prepare(free)
     contact = np.zeros(blind.shape, bool)
     for press in old.golden:
         if press.score <= old.manifest.threshold.value:

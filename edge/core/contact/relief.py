@@ -145,13 +145,13 @@ def find_expected_reach(
     usual: NDArray[np.float32] | None,
     region: Region,
     size: tuple[int, int],
-    fill_dots: Callable[[U8], U8] = lambda rgb: rgb,
+    prepare: Callable[[U8], U8] = lambda rgb: rgb,
 ) -> Mask | None:
     """Find where nominal presses reach, bool (h, w) of the region; None where nothing is known of them.
 
     presses: nominal ones, uint8 (h, w, 3) of the region in a picture of `size` (width, height). free: the view of the
     free gel, uint8 (120, 160, 3). usual: the mean contact of nominal presses over the region, in cells. Either may be
-    None. fill_dots: fills marker dots in the region, as they are filled in the presses.
+    None. prepare: does to a picture of the region what was done to the presses.
     """
     expected = np.zeros((region.height, region.width), bool)
     if usual is not None:
@@ -160,7 +160,7 @@ def find_expected_reach(
     if free is not None and presses:
         small = _small(expected.shape, size)
         whole = np.asarray(cv2.resize(free, size), np.uint8)
-        gel = Reference(_view(fill_dots(region.crop(whole)), small))
+        gel = Reference(_view(prepare(region.crop(whole)), small))
         structure = ReliefOfReference(gel.view)
         for press in presses:
             added = gel.difference(_view(press, small))

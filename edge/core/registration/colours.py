@@ -4,7 +4,8 @@ The light that a surface adds to the free gel's is close to a linear function of
 the sensor (Woodham 1980; the colour response of three public Minis). Slopes turn with the part. If parts lie at any
 angle, or are round, no slope is preferred, so the covariance of the colours is that matrix times its transpose. This
 gives the matrix but for a turn of the slopes, which does not matter here, as turns of a plane commute; and but for
-a reflection, which is found by trying both.
+a reflection, which is found by trying both: by the wrong one presses that turn do not agree, and a held part is no
+surface.
 
 The lights reach the corners of the gel weakly, and a slope there shows its colour as weakly. So what a press adds is
 first divided by the free gel's own light: then a part shows the same wherever it lies.
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from edge.core.contact.reference import fit_levels
 
-__all__ = ["FreeLight", "SlopeColours"]
+__all__ = ["FreeLight", "SlopeColours", "curl_share"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -67,6 +68,22 @@ class SlopeColours:
         cos, sin = math.cos(turn_rad), math.sin(turn_rad)
         turn = np.array([[cos, -sin], [sin, cos]])
         return np.asarray(np.eye(3) + self.matrix @ (turn - np.eye(2)) @ self._inverse, np.float64)
+
+
+_CURL_SMOOTHED_PX = 1.0
+
+
+def curl_share(slopes: F32) -> float:
+    """Compute the share of the slopes' changes that no surface has, 0 to 0.5. slopes: float32 (h, w, 2), in any turn.
+
+    The slopes of a surface have no curl in one of the turns. Slopes of which one is reversed have curl in every turn,
+    but for relief in one direction alone, as of a straight edge.
+    """
+    smooth = np.asarray(cv2.GaussianBlur(slopes, (0, 0), _CURL_SMOOTHED_PX), np.float64)
+    down, across = np.gradient(smooth, axis=0), np.gradient(smooth, axis=1)
+    parts = np.stack([across[..., 1] - down[..., 0], across[..., 0] + down[..., 1]]).reshape(2, -1)
+    least, most = np.linalg.eigvalsh(parts @ parts.T).tolist()
+    return least / (least + most) if most > 0 else 0.0
 
 
 U8 = NDArray[np.uint8]

@@ -2,11 +2,12 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 import turned_parts as parts
 
-from edge.core.registration.colours import SlopeColours
+from edge.core.registration.colours import SlopeColours, curl_share
 
 
 def _colours(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -30,6 +31,19 @@ def test_colours_turn_with_the_part() -> None:
 
     assert _error(right, 1.2) < 1.5
     assert _error(wrong, 1.2) > 20
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.7, 2.0])
+def test_only_the_right_colours_show_a_surface(turn_rad: float) -> None:
+    """In whatever turn of the slopes; by the reflection about half of their change is curl."""
+    rng = np.random.default_rng(0)
+    height = cv2.GaussianBlur(rng.normal(size=(80, 90)), (0, 0), 4)
+    down, across = np.gradient(height)
+    cos, sin = math.cos(turn_rad), math.sin(turn_rad)
+    slopes = np.stack([cos * across - sin * down, sin * across + cos * down], axis=2).astype(np.float32)
+    assert curl_share(slopes) < 1e-3
+    assert curl_share(slopes * np.float32([1, -1])) > 0.4
+    assert curl_share(np.zeros_like(slopes)) == 0
 
 
 def test_what_is_no_slope_stays() -> None:

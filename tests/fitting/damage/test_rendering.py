@@ -11,6 +11,7 @@ from calibration.fitting.damage.imprint import Station
 from calibration.fitting.damage.rendering import EditedPress, is_compressed
 from calibration.simulator.field_of_view import grids
 from edge.core.imaging.region import Region
+from edge.core.imaging.smoothing import smooth
 
 
 def without(bench: Bench, effect: str) -> Bench:
@@ -55,6 +56,15 @@ def test_rendered_damage_is_like_real_damage(
     near = np.hypot(x - damage.spot.x_mm, y - damage.spot.y_mm) < 1.5
     assert np.corrcoef(rendered[near].ravel(), real[near].ravel())[0, 1] > likeness
     assert np.sqrt((rendered[near] ** 2).sum() / (real[near] ** 2).sum()) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_smoothed_press_is_smoothed_with_its_damage(station: Station, edited: EditedPress) -> None:
+    """What is rendered is as blurred as what was pressed."""
+    smoothed, nothing = (
+        EditedPress(station, edited.rgb, is_smoothed=True),
+        np.zeros(edited.surface.shape, np.float32),
+    )
+    np.testing.assert_array_equal(smoothed.with_relief(nothing), smooth(edited.with_relief(nothing)))
 
 
 def test_compression_is_seen_and_repeated(edited: EditedPress, bench: Bench) -> None:

@@ -147,7 +147,7 @@ def test_a_stricter_region_finds_a_fainter_dent_and_promises_anew(inspected: Jud
     assert made.threshold.nominal_scores != old.threshold.nominal_scores
     faint = film_press(dent=False)
     dented = film_press(dent=True)
-    mixed = np.rint(faint + 0.88 * (dented.astype(np.float64) - faint)).astype(np.uint8)
+    mixed = np.rint(faint + 0.86 * (dented.astype(np.float64) - faint)).astype(np.uint8)
     kinds = [made.decide(score(one, mixed, tmp_path).anomaly_score).kind for one in (inspected.old, new)]
     assert kinds == ["pass", "fail"]
     assert gelgate("bundle", "verify", new).code == 0
