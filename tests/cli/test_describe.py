@@ -13,8 +13,9 @@ from edge.core.ports import Message
 from edge.gateway.command_table import describe_station
 from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.local_broker import LocalBroker, available_brokers
-from edge.messaging.mqtt_broker import Broker
+from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
+from edge.messaging.subscriber import Inbox, next_message
 
 CONFIG = """
 version = 1
@@ -105,6 +106,18 @@ def broker() -> Iterator[LocalBroker]:
         yield running
 
 
+def hear(patch: pytest.MonkeyPatch, count: int) -> None:
+    """Have the verb wait for so many messages, however long, in place of two seconds for any."""
+    left = count
+
+    def next_of(inbox: Inbox, timeout_s: float) -> Received | None:
+        nonlocal left
+        left -= 1
+        return next_message(inbox, 60.0) if left >= 0 else None
+
+    patch.setattr("edge.cli.describe.next_message", next_of)
+
+
 def leaves(broker: LocalBroker, root: str, payload: bytes) -> None:
     """A client leaves this as the description of a station."""
     connection = Connection.open(Broker(broker.host, broker.port, "leaves", level="5", timeout_s=60.0))
@@ -112,7 +125,9 @@ def leaves(broker: LocalBroker, root: str, payload: bytes) -> None:
     connection.close()
 
 
-def test_the_address_of_the_broker_is_enough(config: Path, broker: LocalBroker, tmp_path: Path) -> None:
+def test_the_address_of_the_broker_is_enough(
+    config: Path, broker: LocalBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The same files as from the configuration of the station, with the broker that was named."""
     address = f'host = "{broker.host}", port = {broker.port}, '
     config.write_text(CONFIG.replace('host = "broker.plant", tls = {}, ', address), encoding="utf-8")
@@ -121,17 +136,21 @@ def test_the_address_of_the_broker_is_enough(config: Path, broker: LocalBroker, 
     leaves(broker, station.root.replace("press2", "press3"), b"{")
 
     for form in ("asyncapi", "homeassistant", "node-red"):
+        hear(monkeypatch, 2)
         describe(form=Format(form), host=broker.host, port=broker.port, output=tmp_path / form)
         assert (tmp_path / form).read_text(encoding="utf-8") == text(config, form)
 
 
-def test_a_broker_without_one_station_is_refused_in_a_sentence(config: Path, broker: LocalBroker) -> None:
+def test_a_broker_without_one_station_is_refused_in_a_sentence(
+    config: Path, broker: LocalBroker, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """None, or several: then their names."""
     station = describe_station(load_config(config))
     with pytest.raises(ConfigError, match="has no station that describes itself below gelgate/\\+"):
         describe(host=broker.host, port=broker.port)
     for name in ("press2", "press3"):
         leaves(broker, station.root.replace("press2", name), asyncapi_message(station).payload)
+    hear(monkeypatch, 2)
     with pytest.raises(
         ConfigError, match="has several stations: plant/line/press2, plant/line/press3; name one"
     ):

@@ -230,27 +230,34 @@ from pathlib import Path
 from edge.features.drawn_regions import _exchange
 
 before, after, old_name, folder = map(Path, sys.argv[1:])
-ended, line = False, 0
-while not ended:
-    place = folder / str(line)
+
+def exchange(place, note):
     for name, whole in (("pz0", before), (".pz0.drawn", after), (old_name, before)):
         shutil.copytree(whole, place / name, copy_function=os.link)
-    child = os.fork()
-    if child == 0:
+    def trace(frame, event, argument):
+        if event == "line":
+            note(place)
+        return trace
+    sys.settrace(trace)
+    _exchange(place / "pz0", place / ".pz0.drawn", place / old_name)
+    sys.settrace(None)
+
+seen = []
+exchange(folder / "first", lambda place: None)  # what runs at the first call alone
+exchange(folder / "whole", lambda place: seen.append(sorted((path, path.stat().st_ino) for path in place.rglob("*"))))
+for line in (line for line in range(len(seen)) if not line or seen[line] != seen[line - 1]):
+    if os.fork() == 0:
         left = line
-        def trace(frame, event, argument):
+        def kill(place):
             global left
-            if event == "line":
-                left -= 1
-                if left < 0:
-                    os.kill(os.getpid(), signal.SIGKILL)
-            return trace
-        sys.settrace(trace)
-        _exchange(place / "pz0", place / ".pz0.drawn", place / old_name)
+            left -= 1
+            if left < 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+        exchange(folder / str(line), kill)
         os._exit(0)
-    ended, line = os.waitpid(child, 0)[1] == 0, line + 1
+    assert os.wait()[1] == signal.SIGKILL
 """
-"""Exchanges copies of two bundles, each time killed one line later, until that ends."""
+"""Exchanges copies of two bundles, each time killed at another line: each before which a file or a folder has changed."""
 
 
 def test_a_station_starts_on_what_a_kill_at_any_line_leaves(
