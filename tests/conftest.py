@@ -2,6 +2,7 @@
 
 import gc
 import os
+import shutil
 import signal
 import sys
 import time
@@ -34,6 +35,12 @@ MARKERS = {
 # The same examples in every run, without a limit of time: a run finds what the change before it broke, and not by luck.
 # `pytest --hypothesis-profile=default` draws others.
 settings.load_profile("ci")
+
+# Folders of tests are in memory, where the system has a place for that with room: a test of a database waits for the
+# disk for a third of its time, and none asks what a disk keeps without power.
+MEMORY, ROOM = Path("/dev/shm"), 2 << 30
+if MEMORY.is_dir() and os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free > ROOM:
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
 
 # A shell that starts the tests in the background has them ignore Ctrl-C, and every program that they start with them.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -118,7 +118,7 @@ def closed_pipe() -> int:
 def test_a_reader_that_leaves_early_is_no_fault() -> None:
     """`gelgate station topics | head -1`: the pipe is closed while pages are still being printed."""
     writing = closed_pipe()
-    done = subprocess.run([GELGATE, "topics"], stdout=writing, stderr=subprocess.PIPE, text=True)
+    done = subprocess.run([GELGATE, "station", "topics"], stdout=writing, stderr=subprocess.PIPE, text=True)
     os.close(writing)
 
     assert "Traceback" not in done.stderr

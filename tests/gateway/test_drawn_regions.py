@@ -257,7 +257,7 @@ for line in (line for line in range(len(seen)) if not line or seen[line] != seen
         os._exit(0)
     assert os.wait()[1] == signal.SIGKILL
 """
-"""Exchanges copies of two bundles, each time killed at another line: each before which a file or a folder has changed."""
+"""Exchanges copies of two bundles, each time killed at another line: each before which something has changed."""
 
 
 def test_a_station_starts_on_what_a_kill_at_any_line_leaves(
