@@ -99,7 +99,8 @@ def test_a_fit_of_arrays_with_settings() -> None:
     """In memory, with an option and a parameter of the detector; nothing is left behind."""
     before = sorted(Path.cwd().iterdir())
     presses = [taken(seed) for seed in range(8)]
-    fitted = gelgate.fit(presses, part="PZ9", profile="cropped_lr", limit="plain", ridge=0.3)
+    settings = {"limit": "plain", "register": "never", "channels": 20}
+    fitted = gelgate.fit(presses, part="PZ9", profile="cropped_lr", **settings)
 
     assert (fitted.part, fitted.method, fitted.score(presses[0]).verdict) == ("PZ9", "padim", "pass")
     assert sorted(Path.cwd().iterdir()) == before
