@@ -4,6 +4,7 @@ the gateway."""
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -119,18 +120,24 @@ def open_played(
 
 
 def _record(folder: Path, presses: Sequence[str]) -> None:
-    """Record the free gel, then one press for each verdict."""
+    header = RecordingHeader("GelSight Mini R0B CHECK-0001", "CHECK0001", _SIZE, _FPS, profile="cropped_lr")
+    with RecordingWriter(folder, header) as writer:
+        for number, jpeg in enumerate(_film(tuple(presses))):
+            writer.add(jpeg, round(number * 1e9 / _FPS))
+
+
+@cache
+def _film(presses: tuple[str, ...]) -> list[bytes]:
+    """Draw the free gel, then one press for each verdict: once for all checks."""
     phases: list[tuple[float, bool]] = [(0.0, False)] * 28
     for verdict in presses:
         is_damaged = verdict == "fail"
         phases += [(depth, is_damaged) for depth in (0.5, *[1.0] * 10, 0.3)] + [(0.0, False)] * 6
-    header = RecordingHeader("GelSight Mini R0B CHECK-0001", "CHECK0001", _SIZE, _FPS, profile="cropped_lr")
-    rng = np.random.default_rng(0)
-    with RecordingWriter(folder, header) as writer:
-        for number, (depth, is_damaged) in enumerate(phases):
-            picture = np.clip(_draw(depth, is_damaged) + rng.normal(0, 2, (*_SIZE[::-1], 3)), 0, 255)
-            jpeg = cv2.imencode(".jpg", picture.astype(np.uint8))[1].tobytes()
-            writer.add(jpeg, round(number * 1e9 / _FPS))
+    rng, film = np.random.default_rng(0), []
+    for depth, is_damaged in phases:
+        picture = np.clip(_draw(depth, is_damaged) + rng.normal(0, 2, (*_SIZE[::-1], 3)), 0, 255)
+        film.append(cv2.imencode(".jpg", picture.astype(np.uint8))[1].tobytes())
+    return film
 
 
 def _draw(depth: float, is_damaged: bool) -> NDArray[np.float32]:
