@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,16 +27,28 @@ DENT = [[4.4, 3.8], [8.6, 3.8], [8.6, 8.1], [4.4, 8.1]]
 SERVED = '[commands]\nunsigned = ["set_regions"]\n'
 
 
+@contextmanager
+def judging(folder: Path, bundle: Path) -> Iterator[SteppedStation]:
+    """Four presses, each with the dent; the first one is judged."""
+    mine = shutil.copytree(bundle, folder / "bundles" / "pz0")
+    presses = press_recording(
+        folder / "presses", 4, dented=[0, 1, 2, 3], motion=Motion(hold=8, idle=20), seed=5
+    )
+    with SteppedStation(station_config(folder / "station", presses, mine, tables=SERVED)) as opened:
+        opened.play_presses(1)
+        yield opened
+
+
 @pytest.fixture
 def station(tmp_path: Path, bundle: Path) -> Iterator[SteppedStation]:
-    """Four presses, each with the dent; the first one is judged."""
-    mine = shutil.copytree(bundle, tmp_path / "bundles" / "pz0")
-    shutil.copy(tmp_path / "bundles" / "pz0" / "manifest.json", tmp_path / "first.json")
-    presses = press_recording(
-        tmp_path / "presses", 4, dented=[0, 1, 2, 3], motion=Motion(hold=8, idle=20), seed=5
-    )
-    with SteppedStation(station_config(tmp_path / "station", presses, mine, tables=SERVED)) as opened:
-        opened.play_presses(1)
+    with judging(tmp_path, bundle) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def unchanged(tmp_path_factory: pytest.TempPathFactory, bundle: Path) -> Iterator[SteppedStation]:
+    """One for all requests that change nothing."""
+    with judging(tmp_path_factory.mktemp("unchanged"), bundle) as opened:
         yield opened
 
 
@@ -171,14 +184,14 @@ STRICTER = "gelgate bundle regions .*pz0 NOMINAL -o NEW --add 'stricter seam 1.5
     ],
 )
 def test_what_cannot_be_drawn_is_a_sentence_and_the_bundle_stays(
-    station: SteppedStation, tmp_path: Path, arguments: dict[str, Any], sentence: str
+    unchanged: SteppedStation, bundle: Path, arguments: dict[str, Any], sentence: str
 ) -> None:
     if arguments.get("press_id") == "newest":
-        arguments = {**arguments, "press_id": newest(station)}
+        arguments = {**arguments, "press_id": newest(unchanged)}
     with pytest.raises(ValueError, match=sentence):
-        station.ask("set_regions", **arguments)()
-    unchanged = (tmp_path / "bundles" / "pz0" / "manifest.json").read_bytes()
-    assert unchanged == (tmp_path / "first.json").read_bytes()
+        unchanged.ask("set_regions", **arguments)()
+    path = unchanged.parts.store.path.parents[1] / "bundles" / "pz0"
+    assert (path / "manifest.json").read_bytes() == (bundle / "manifest.json").read_bytes()
 
 
 def test_a_station_of_signed_bundles_draws_none(station: SteppedStation) -> None:

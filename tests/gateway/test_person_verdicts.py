@@ -68,6 +68,15 @@ def say(station: SteppedStation, by: str = "kim") -> Callable[..., dict[str, obj
     return do
 
 
+@pytest.fixture(scope="module")
+def say_wrong(
+    tmp_path_factory: pytest.TempPathFactory, recording: Path, bundle: Path
+) -> Iterator[Callable[..., dict[str, object]]]:
+    """Ask one station for all that it refuses."""
+    with SteppedStation(station_config(tmp_path_factory.mktemp("wrong"), recording, bundle)) as station:
+        yield say(station)
+
+
 def test_a_word_is_kept_beside_the_verdict_and_the_press_is_not_asked_for_again(
     played: SteppedStation, tmp_path: Path
 ) -> None:
@@ -149,9 +158,9 @@ def test_after_a_restart_the_page_shows_what_it_asks_about(
     ],
 )
 def test_what_cannot_be_kept_is_refused_with_a_sentence(
-    played: SteppedStation, arguments: dict[str, object], sentence: str
+    say_wrong: Callable[..., dict[str, object]], arguments: dict[str, object], sentence: str
 ) -> None:
-    response = say(played)(**arguments)
+    response = say_wrong(**arguments)
 
     assert response["status"] == "error"
     assert sentence in str(response["error"])
