@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from statements import statements
 
 ROOT = Path(__file__).resolve().parents[2]
 OURS = ("edge", "plugins", "calibration", "export")
@@ -18,7 +19,7 @@ MAY_IMPORT = {"plugins": [], **{package: re.findall(r"`([\w.]+)`", allowed) for 
 
 def imports(file: Path) -> Iterator[str]:
     """Every module of ours that the file names, at its top or inside a function."""
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in statements(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name.split(".")[0] in OURS)
         elif isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in OURS:

@@ -6,6 +6,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
+from statements import statements
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("gelgate", "edge", "plugins", "calibration", "export")
@@ -18,14 +19,6 @@ def trees() -> dict[str, ast.Module]:
     """Every Python file of the packages, by its path."""
     paths = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
     return {path.relative_to(ROOT).as_posix(): ast.parse(path.read_text(encoding="utf-8")) for path in paths}
-
-
-def statements(tree: ast.AST) -> Iterator[ast.AST]:
-    """Yield every statement under a node, in functions too. No expression holds one."""
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.stmt | ast.ExceptHandler | ast.match_case):
-            yield node
-            yield from statements(node)
 
 
 def imports(file: str, trees: dict[str, ast.Module]) -> Iterator[str]:
