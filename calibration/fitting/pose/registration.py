@@ -59,6 +59,8 @@ _SAME_TURN_RAD, _SAME_SHARE = math.radians(5), 0.9
 _MOST_SYMMETRY = 12
 # It looks the same where its agreement falls by less than this: exact symmetries up to 0.011, nearly so from 0.021.
 _ALIKE, _LOOKED_AT = 0.015, 8
+# A press is held like the others where it differs at their turn at most so many times as much as at its best one.
+_AS_WELL = 1.5
 # Of two ways to read the colours the worse is heard too where its presses differ at most so many times as much. By
 # either a part without a turn is round: by the other one the light may decide on its turn.
 _NEARLY = 2.0
@@ -306,7 +308,8 @@ def _look_alike(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
     symmetry = max(aligned.symmetry, alike)
     if symmetry > 1:  # of turns that look the same all presses have the first one's, where they were held so
         held = [search.find(one, 0.0) for one in every]
-        if all(one.match > search.find(press).match - _ALIKE for one, press in zip(held, every, strict=True)):
+        best = [search.find(one) for one in every]
+        if all(1 - one.match <= _AS_WELL * (1 - other.match) for one, other in zip(held, best, strict=True)):
             aligned = replace(aligned, poses=[one.pose for one in held], is_held=True)
     return replace(aligned, symmetry=symmetry, doubts=doubts)
 

@@ -70,6 +70,7 @@ class SlopeColours:
         return np.asarray(np.eye(3) + self.matrix @ (turn - np.eye(2)) @ self._inverse, np.float64)
 
 
+# Noise has as much curl as not, so slopes are smoothed before they are differentiated.
 _CURL_SMOOTHED_PX = 1.0
 
 
