@@ -22,6 +22,7 @@ from calibration.fitting.trunks import Trunk, open_trunk
 from edge import registry
 from edge.core.detector import Bank, Detector, Features, Nominal
 from edge.core.errors import FitError, NotScorable
+from edge.core.imaging.smoothing import smooth
 from edge.core.imaging.tiles import tiling
 from edge.model.bundle import Bundle, Graphs
 from edge.model.bundle_writer import bundle_files
@@ -95,14 +96,22 @@ def fit_points(
     reader = TapReader(trunk.graph, taps, frame, view.profile.pixels_per_mm, threads)
     frames = np.concatenate([nominal.frames, seen.frames])
     start = time.perf_counter()
-    features = reader.take(frames)
-    seconds = (time.perf_counter() - start) / len(frames)
+    taken = {
+        is_smoothed: reader.take(np.stack([smooth(rgb) for rgb in frames]) if is_smoothed else frames)
+        for is_smoothed in {_is_smoothed(point) for point in points}
+    }
+    seconds = (time.perf_counter() - start) / len(frames) / len(taken)
     for point in points:
         learner = reader.learner(*detector_of(point), seed)
         try:
-            yield _fit(point, chosen, nominal, learner, features, seconds)
+            yield _fit(point, chosen, nominal, learner, taken[_is_smoothed(point)], seconds)
         except (FitError, NotScorable) as error:
             raise FitError(f"operating point {point.key}: {error}") from error
+
+
+def _is_smoothed(point: OperatingPoint) -> bool:
+    """Tell whether a fit smooths its presses."""
+    return point.mode != "paper"
 
 
 def _fit(
@@ -153,6 +162,7 @@ def _facts(
         profile=view.profile,
         region=view.region,
         grid=GridEntry.of(learner.grid),
+        is_smoothed=_is_smoothed(point),
         threshold=threshold,
         tolerance=tolerance,
         provenance=provenance("measured", nominal.first(point.presses), learner.seed, ()),
