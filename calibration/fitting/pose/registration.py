@@ -308,7 +308,7 @@ def _look_alike(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
     symmetry = max(aligned.symmetry, alike)
     if symmetry > 1:  # of turns that look the same all presses have the first one's, where they were held so
         held = [search.find(one, 0.0) for one in every]
-        best = [search.find(one) for one in every]
+        best = [*found, *(search.find(one) for one in every[_LOOKED_AT:])]
         if all(1 - one.match <= _AS_WELL * (1 - other.match) for one, other in zip(held, best, strict=True)):
             aligned = replace(aligned, poses=[one.pose for one in held], is_held=True)
     return replace(aligned, symmetry=symmetry, doubts=doubts)
