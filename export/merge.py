@@ -78,7 +78,10 @@ def _merge(bundle: Bundle) -> bytes:
             "fit it on a gel without dots"
         )
     if bundle.graphs.trunk is None or bundle.graphs.head is None:
-        raise BundleMismatch(f"bundle {bundle.where} is already a single graph; copy its detector.onnx")
+        before = ", before which frames are smoothed (docs/bundle.md)" if bundle.manifest.is_smoothed else ""
+        raise BundleMismatch(
+            f"bundle {bundle.where} is already a single graph; copy its detector.onnx{before}"
+        )
     head = onnx.load_from_string(bundle.graphs.head)
     trunk_graph = bundle.graphs.trunk
     if bundle.grid is not None and bundle.grid.tiles is not None:

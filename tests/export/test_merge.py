@@ -53,6 +53,8 @@ def test_a_smoothed_bundle_smooths_in_the_graph(tmp_path: Path) -> None:
     np.testing.assert_array_equal(score, [one.anomaly_score for one in expected])
     np.testing.assert_array_equal(score_map, [one.score_map for one in expected])
     single = Scorer(Bundle.load(tmp_path / "single"))
+    with pytest.raises(BundleMismatch, match=r"copy its detector\.onnx, before which frames are smoothed"):
+        merged_graph(single.bundle)
     assert [single.score(frame).anomaly_score for frame in frames] == score.tolist()
     assert Scorer(smoothed).score_prepared(frames[0]).anomaly_score != score[0]
 
