@@ -2,8 +2,9 @@
 
 import hashlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from edge.core.ports import Message
 
@@ -97,6 +98,9 @@ class Station:
     draw: Callable[[str], bytes] | None = None
     """Draws the picture of an archived press, for those who look at it later; empty where it cannot. From any thread;
     never raises."""
+    earlier: Callable[[int], Sequence[Mapping[str, Any]]] = lambda most: ()
+    """The newest presses of before the start, at most so many, oldest first: what is kept of their results. Never
+    raises."""
 
     def __post_init__(self) -> None:
         if not self.root or self.root.startswith("/") or self.root.endswith("/"):

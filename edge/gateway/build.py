@@ -10,10 +10,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 from edge import registry
 from edge.acquisition import Acquisition
 from edge.config import Config, sink_names
+from edge.core.errors import StoreError
 from edge.core.ports import Clock, Device, Message, Sink
 from edge.core.sentence import Sentence
 from edge.core.sink_context import PageRequests, Station
@@ -45,6 +48,7 @@ from edge.press_stage import PressStage, StageParts
 from edge.store.backup import migrate
 from edge.store.bundles_in_use import read_selected, read_takeover
 from edge.store.database import SCHEMA_VERSION
+from edge.store.history import HistoryQuery, read_history
 from edge.store.outbox import Bounds
 from edge.store.press_store import Store
 
@@ -233,7 +237,30 @@ def _sink_context(
         page=PageRequests(commands.page_verbs, commands.from_page, commands.refuse_at_page),
         picture_type=f"image/{config.station.heatmap}",
         draw=lambda press_id: PressDrawing(press_id, partial(draw_again, press_id)).draw_now().draw().sheet,
+        earlier=partial(_list_earlier, config.store.path),
     )
+
+
+def _list_earlier(database: Path, most: int) -> list[dict[str, Any]]:
+    """Return what the history has of the newest results."""
+    found = []
+    try:
+        for row in read_history(database, HistoryQuery(newest=most)):
+            content = {
+                "press_id": row.press_id,
+                "sequence": row.number,
+                "part": row.part,
+                "position": row.position,
+            }
+            content |= {"time_ns": row.time_ns, "time_ms": row.time_ns // 1_000_000, "cause": row.cause}
+            content["verdict"] = None if row.verdict == "error" else row.verdict
+            content["score_ratio"] = (
+                row.score / row.threshold if row.score is not None and row.threshold else None
+            )
+            found.append(content)
+    except StoreError as error:
+        log.warning("the presses of before the start are not shown: %s", error)
+    return found
 
 
 def _open_sinks(config: Config, context: Station, closing: ExitStack) -> dict[str, Sink]:

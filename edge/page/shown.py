@@ -3,7 +3,7 @@
 import json
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
@@ -28,6 +28,7 @@ from edge.pictures.image_file import content_type, texts
 from edge.store.ulid import is_ulid
 
 __all__ = [
+    "EARLIER_PRESSES",
     "LARGEST_PAYLOAD_BYTES",
     "MOST_ASKED",
     "MOST_FOREIGN_ALARMS",
@@ -41,6 +42,7 @@ __all__ = [
 # at most 2 MiB.
 MOST_PRESSES: Final = 50
 MOST_PICTURES: Final = 12
+EARLIER_PRESSES: Final = 12
 MOST_ASKED: Final = 20
 LARGEST_PICTURE_BYTES: Final = 4 << 20
 # Alarms that are not known here; a flood of names hides none that is known.
@@ -80,12 +82,17 @@ class Shown:
     """The newest messages. Any thread may use it.
 
     place: site/line/station, empty where it is not known yet. away: why nothing new comes, as one sentence. draw:
-    draws the picture of a press that a person is asked about and that is not here; empty where it cannot. None without
-    an archive.
+    draws the picture of a press of before the start, or of one that a person is asked about, that is not here; empty
+    where it cannot. None without an archive. earlier: results of before the start, oldest first; none of them is the
+    verdict on the part that lies there now.
     """
 
     def __init__(
-        self, place: str, away: str | None = None, draw: Callable[[str], bytes] | None = None
+        self,
+        place: str,
+        away: str | None = None,
+        draw: Callable[[str], bytes] | None = None,
+        earlier: Iterable[Mapping[str, Any]] = (),
     ) -> None:
         self._changed = threading.Condition()
         self._version = 1
@@ -95,7 +102,9 @@ class Shown:
         self._status: dict[str, Any] = dict.fromkeys(_STATUS)
         self._known_alarms = list_alarms()
         self._alarms: dict[str, Any] = {}
-        self._presses: OrderedDict[str, Any] = OrderedDict()
+        self._presses: OrderedDict[str, Any] = OrderedDict(
+            (one["press_id"], {**one, "is_earlier": True}) for one in earlier
+        )
         self._pictures: OrderedDict[str, Picture] = OrderedDict()
         self._draw, self._drawing = draw, threading.Lock()
         self._not_drawn: set[str] = set()
@@ -214,16 +223,16 @@ class Shown:
             }
 
     def presses(self) -> list[Any]:
-        """Newest first; `has_picture` says whether there is one."""
+        """Newest first; `has_picture` says whether there is one, or one can be drawn."""
         with self._changed:
+            pictured = {*self._pictures, *self._to_draw()}
             return [
-                {**press, "has_picture": key in self._pictures}
-                for key, press in reversed(self._presses.items())
+                {**press, "has_picture": key in pictured} for key, press in reversed(self._presses.items())
             ]
 
     def picture(self, press_id: str) -> Picture | None:
-        """None for a press without one, and for one that is too old. Of one that a person is asked about it is drawn
-        again, once: it may be older than the start, or than those that are kept."""
+        """None for a press without one, and for one that is too old. Of one of before the start, and of one that a
+        person is asked about, it is drawn again, where it can be."""
         with self._drawing:
             with self._changed:
                 if self._draw is None or press_id not in self._to_draw():
@@ -238,9 +247,11 @@ class Shown:
                 return found
 
     def _to_draw(self) -> list[str]:
-        """The presses that a person is asked about and whose pictures can be drawn."""
+        """The presses of before the start, and those that a person is asked about, whose pictures can be drawn."""
         known = self._pictures.keys() | self._not_drawn
-        return [] if self._draw is None else [one for one in self._asked() if one not in known]
+        earlier = [one for one, press in self._presses.items() if press.get("is_earlier")]
+        wanted = dict.fromkeys((*self._asked(), *earlier))
+        return [] if self._draw is None else [one for one in wanted if one not in known]
 
     def wait(self, version: int, timeout_s: float) -> None:
         """Return soon after there is another version than this, when the time is over, or at the end.

@@ -4,8 +4,8 @@ It is a sink like the others: it gets what a broker gets, and goes on while brok
 loopback address unless other machines are named. With a token a person selects the part, acknowledges an alarm and
 records a new gel; the station does these as requests that come over MQTT, and keeps them in its table of acts.
 
-What it does not do: it keeps nothing on the disk, so its presses are those since the start of the gateway; it shows no
-live picture; it does not encrypt.
+What it does not do: it keeps nothing on the disk, so of presses before the start of the gateway it shows what the
+history and the archive have; it shows no live picture; it does not encrypt.
 """
 
 from edge.clock import SystemClock
@@ -15,7 +15,7 @@ from edge.core.ports import Clock, Message
 from edge.core.sink_context import Station
 from edge.page.server import PageServer
 from edge.page.settings import PageSettings
-from edge.page.shown import Shown
+from edge.page.shown import EARLIER_PRESSES, Shown
 
 __all__ = ["Page", "PageOptions", "PageSink", "plugin"]
 
@@ -35,7 +35,8 @@ class PageSink:
     def __init__(
         self, options: PageSettings, station: Station, clock: Clock, port: int | None = None
     ) -> None:
-        self._shown = Shown("/".join(station.root.split("/")[1:-2]), draw=station.draw)
+        place, earlier = "/".join(station.root.split("/")[1:-2]), station.earlier(EARLIER_PRESSES)
+        self._shown = Shown(place, draw=station.draw, earlier=earlier)
         self._server = PageServer(self._shown, options, station.page, clock, port=port)
         self.port = self._server.port
 

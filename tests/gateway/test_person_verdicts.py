@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command_line import gelgate
@@ -118,13 +119,13 @@ def test_a_word_is_kept_beside_the_verdict_and_the_press_is_not_asked_for_again(
         assert restarted.said("questions")["answered_today"] == 1
 
 
-def test_after_a_restart_the_page_shows_what_it_asks_about(
+def test_after_a_restart_the_page_shows_its_presses_and_what_it_asks_about(
     tmp_path: Path, recording: Path, bundle: Path
 ) -> None:
-    """The picture is drawn again from the archive: the same one."""
+    """The pictures are drawn again from the archive: the same ones."""
     port = free_port()
     sinks = f'[[sinks]]\nplugin = "page"\noptions = {{ port = {port} }}\n'
-    pictures = list[list[tuple[int, bytes]]]()
+    pictures, listed = list[list[tuple[int, bytes]]](), list[list[dict[str, Any]]]()
     for attempt in range(2):
         with SteppedStation(station_config(tmp_path, recording, bundle, sinks=sinks)) as station:
             if attempt == 0:
@@ -134,11 +135,16 @@ def test_after_a_restart_the_page_shows_what_it_asks_about(
                 station.publish()
             ids = [one["press_id"] for one in station.said("questions")["presses"]]
             assert sorted(asked(port, "/station.json")["pictures"]) == ids
+            listed.append(asked(port, "/presses.json"))
             pictures.append([ask(port, f"/pictures/{one}") for one in ids])
 
     assert len(pictures[0]) == 4
     assert pictures[0] == pictures[1]
     assert {status for status, _ in pictures[0]} == {200}
+    new, old = listed
+    assert [one.pop("is_earlier", False) for one in old] == [True] * 4
+    assert [one["press_id"] for one in old] == [one["press_id"] for one in new]
+    assert all(one.items() <= known.items() for one, known in zip(old, new, strict=True))
 
 
 @pytest.mark.parametrize(

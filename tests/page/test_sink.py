@@ -130,6 +130,31 @@ def test_the_picture_of_a_press_that_was_asked_about_before_the_start_is_drawn_a
         assert asked(sink.port, "/station.json")["pictures"] == ids[:1]
 
 
+def test_presses_of_before_the_start_are_listed_and_drawn_when_somebody_looks() -> None:
+    """They are marked, so that none is taken for the newest; one of them that comes late takes its place."""
+    ids = [json.loads(press(n)[0].payload)["press_id"] for n in (1, 2, 3)]
+    before = [
+        {"press_id": one, "sequence": n, "time_ns": T0_NS, "verdict": "pass"}
+        for n, one in enumerate(ids[:2], 1)
+    ]
+    picture = encode_jpeg(np.zeros((4, 4, 3), np.uint8), {})
+    pictures = {ids[1]: picture, ids[2]: picture}
+    station = Station(
+        ROOT, "press2", draw=lambda one: pictures.get(one, b""), earlier=lambda most: before[-most:]
+    )
+    with closing(PageSink(PageOptions(), station, ManualClock(), port=0)) as sink:
+        assert [ask(sink.port, f"/pictures/{one}")[0] for one in ids] == [404, 200, 404]
+        for n in (3, 1):
+            for message in press(n):
+                sink.send(message)
+
+        shown = asked(sink.port, "/presses.json")
+
+    assert [one["press_id"] for one in shown] == [ids[2], ids[1], ids[0]]
+    assert [one.get("is_earlier", False) for one in shown] == [False, True, False]
+    assert [one["has_picture"] for one in shown] == [True, True, True]
+
+
 @pytest.mark.parametrize(
     ("path", "method", "host", "status"),
     [

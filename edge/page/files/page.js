@@ -61,7 +61,14 @@ function draw(id, facts, make) {
   }
 }
 
-const clock = (press) => new Date(press.time_ms).toLocaleTimeString("en-GB");
+// With its day, where that is another one.
+function clock(press) {
+  const then = new Date(press.time_ms), isToday = then.toDateString() === new Date().toDateString();
+  return isToday ? then.toLocaleTimeString("en-GB") : then.toLocaleString("sv-SE");
+}
+
+// A press of before the start is none of a part that lies there now.
+const lastOf = (presses) => presses.find((press) => !press.is_earlier);
 
 // With as many digits as it needs to differ from the threshold.
 function ratio(press) {
@@ -369,7 +376,7 @@ function showDrift(drift, last) {
 }
 
 function showPresses(presses, piece) {
-  const last = presses[0], newest = presses.slice(0, 12);
+  const last = lastOf(presses), newest = presses.slice(0, 12);
   draw("presses", [newest.map((press) => [press.press_id, press.has_picture]), may("confirm_press")], () => newest.map(showRow));
   at("say-head").hidden = !may("confirm_press");
   const said = last ? large(last, piece) : t("no press yet");
@@ -400,7 +407,7 @@ function show() {
     showStation(shown);
     showPresses(shown.presses, shown.piece);
     showHand(shown.contact, !shown.away && (shown.state || {}).state === "ready");
-    showDrift(shown.drift, shown.presses[0]);
+    showDrift(shown.drift, lastOf(shown.presses));
   }
 }
 
