@@ -1,9 +1,10 @@
 """A press: the one value that grows from the frame that settles to the row and the message that it becomes."""
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
-from typing import ClassVar, Self
+from typing import ClassVar, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,9 @@ __all__ = [
     "ShadowVerdict",
     "StudyLabel",
 ]
+
+# Rounding of a score that is the highest value of its map.
+_SAME: Final = 1e-4
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,8 @@ class ScarFindings:
 
 @dataclass(frozen=True)
 class Again:
-    """One more press of the same piece. second_of, first_score: of the first press, where this is the second."""
+    """One more press of the same piece. second_of, first_score: of the first press, where this is the second.
+    both_score: what the two show together, where that is not the lower of their scores."""
 
     reason: str
     """One sentence."""
@@ -101,6 +106,7 @@ class Again:
     """It is asked for."""
     second_of: str | None = None
     first_score: float | None = None
+    both_score: float | None = None
     bound: float | None = None
     """Up to this score a second press is asked for."""
 
@@ -204,6 +210,13 @@ class Press:
     @property
     def score(self) -> float | None:
         return self.verdict.score if self.verdict else None
+
+    @property
+    def is_of_place(self) -> bool:
+        """Whether the score is the highest value of its map, not of something else, as of relief that is missing."""
+        if self.score is None or self.score_map is None:
+            return False
+        return math.isclose(float(self.score_map.max()), self.score, rel_tol=_SAME)
 
     def reject(self, rejection: Rejection) -> "Press":
         """Return it rejected, unless it is decided already."""

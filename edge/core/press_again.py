@@ -1,11 +1,13 @@
 """Whether one more press of a piece pays, and what two presses say together.
 
-A press whose score lies a little above the threshold is `unsure`, and the same piece is pressed once more, shifted. The
-lower of the two scores is decided. So a piece fails only if both presses lie above the threshold: every piece that
-fails would have failed by its first press alone. The false-alarm rate that the threshold promises therefore holds for
-two presses as well, whatever they have in common (the larger of two p-values is a p-value under any dependence: Vovk
-and Wang, Combining p-values via averaging, Biometrika 107 (2020), section 1). What is risked is damage that the first
-press shows and the second does not.
+A press whose score lies a little above the threshold is `unsure`, and the same piece is pressed once more, shifted.
+Every piece that fails would have failed by its first press alone, so the false-alarm rate that the threshold promises
+holds for two presses as well, whatever they have in common. What is risked is damage that the first press shows and the
+second does not.
+
+Damage stays at its place on the part, and what makes the scores of sound presses high - noise, dust on the gel - does
+not. So where both presses are registered, what both show at one place is decided, and `AGREED` of the threshold is
+enough for it. Otherwise the lower of the two scores is.
 
 How far above the threshold a second press is asked for is the bound at which the expected cost of a piece is smallest:
 
@@ -16,7 +18,7 @@ with d the share of damaged pieces, and F, M, p the costs of a false alarm, of m
 Sound presses above the threshold are rare, so their tail is taken as exponential beyond it (Pickands 1975, Balkema and
 de Haan 1974), with the promised rate at the threshold and the mean excess of the highest nominal scores. Two presses of
 a sound piece have a Gaussian copula with the correlation of the nominal presses of one piece. Two presses of a damaged
-piece are two draws from the scores of the same kind and size of rendered damage.
+piece are two draws from the scores of the same kind and size of rendered damage. It is computed for the lower score.
 """
 
 import math
@@ -28,11 +30,26 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.verdict import Kind, Verdict
+from edge.core.verdict import Kind, Verdict, decide
 
-__all__ = ["Costs", "KnownScores", "Plan", "is_asked", "plan", "second_verdict", "unsure"]
+__all__ = [
+    "AGREED",
+    "Costs",
+    "KnownScores",
+    "Plan",
+    "SeenScores",
+    "is_asked",
+    "plan",
+    "score_both",
+    "second_verdict",
+    "unsure",
+]
 
 Float = NDArray[np.float64]
+
+AGREED: Final = 0.95
+"""The share of the threshold that both presses of a damaged piece show at its place. Of 0.9, 0.95 and 1, by development
+parts (`python tests/bench/second_presses.py`)."""
 
 # The highest share of the nominal scores gives the tail's scale, from at least this number of them.
 _TAIL_SHARE: Final = 0.25
@@ -105,16 +122,40 @@ def unsure(verdict: Verdict) -> Verdict:
     return Verdict(Kind.UNSURE, verdict.score, verdict.threshold, verdict.tolerance)
 
 
-def second_verdict(first: float, second: Verdict, lower: Verdict) -> Verdict:
-    """The verdict on a second press, with its own score. lower: the verdict on the lower of the two scores.
+@dataclass(frozen=True, eq=False)
+class SeenScores:
+    """What a press shows, place by place of the part."""
+
+    scores: NDArray[np.float32]
+    """Its score map in the bank's pose, (h, w)."""
+    is_judged: NDArray[np.bool_]
+    """Places that were seen and judged, (h, w)."""
+
+
+def score_both(first: SeenScores, second: SeenScores) -> float:
+    """The score that two presses of a piece give together: the highest that both show at one place, by `AGREED`.
+
+    A place that one of them did not judge is decided by the other. Errors: ValueError where none was judged.
+    """
+    one = np.where(first.is_judged, first.scores, second.scores)
+    other = np.where(second.is_judged, second.scores, first.scores)
+    shown = np.minimum(one, other)[first.is_judged | second.is_judged]
+    if not len(shown):
+        raise ValueError("no place of the part was judged")
+    return float(shown.max()) / AGREED
+
+
+def second_verdict(second: Verdict, both: Verdict) -> Verdict:
+    """The verdict on a second press, with its own score. both: the verdict on the score of both together.
 
     A second press that does not pass for another reason than its score does not pass by this. Errors: ValueError for a
-    press without a score, and for another score than the lower.
+    press without a score.
     """
-    if second.score is None or lower.score != min(first, second.score):
-        raise ValueError(f"the lower of {first} and {second.score} is decided, found {lower.score}")
-    kind = second.kind if lower.kind is Kind.PASS else lower.kind
-    return Verdict(kind, second.score, second.threshold, second.tolerance)
+    if second.score is None or both.score is None:
+        raise ValueError("a second press without a score is not decided")
+    by_score = decide(second.score, both.threshold or 0.0, both.tolerance or 0.0)
+    is_another = both.kind is Kind.PASS and second.kind is not by_score.kind
+    return Verdict(second.kind if is_another else both.kind, second.score, second.threshold, second.tolerance)
 
 
 def plan(known: KnownScores, threshold: float, rate: float, costs: Costs) -> Plan:

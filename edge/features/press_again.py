@@ -6,11 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
+import numpy as np
+
 from edge.core.contact.events import PressSettled
 from edge.core.piece import PlacePress
 from edge.core.ports import Clock
 from edge.core.press import Again, Press
-from edge.core.press_again import Costs, Plan, is_asked, second_verdict, unsure
+from edge.core.press_again import Costs, Plan, SeenScores, is_asked, score_both, second_verdict, unsure
+from edge.core.registration.pose import warp
 from edge.core.sentence import Sentence
 from edge.messaging.result_payload import PressAgainPart
 from edge.model.again_facts import again_sentence, plan_for
@@ -19,7 +22,7 @@ from edge.model.inspector import Inspector
 from edge.press_stage import Alarms, Mounted, PressStage, StageParts
 from edge.store.gel_ledger import GelRecord
 
-__all__ = ["PressAgain"]
+__all__ = ["PressAgain", "find_seen"]
 
 log = logging.getLogger(__name__)
 
@@ -32,6 +35,8 @@ class _First:
     due_ns: int
     press_id: str
     piece: PlacePress | None
+    seen: SeenScores | None
+    """Where it shows its score, on the part."""
 
 
 class PressAgain(PressStage):
@@ -89,7 +94,11 @@ class PressAgain(PressStage):
             return {}
         second_of = again.second_of or None
         part = PressAgainPart(
-            is_asked=again.is_asked, second_of=second_of, first_score=again.first_score, reason=again.reason
+            is_asked=again.is_asked,
+            second_of=second_of,
+            first_score=again.first_score,
+            both_score=again.both_score,
+            reason=again.reason,
         )
         return {"press_again": part}
 
@@ -119,7 +128,7 @@ class PressAgain(PressStage):
         verdict = press.verdict
         if verdict is None or not is_asked(verdict, self._plan.bound) or verdict.score is None:
             return press
-        self._first = _First(verdict.score, self._due_ns(), press.press_id, press.piece)
+        self._first = _First(verdict.score, self._due_ns(), press.press_id, press.piece, find_seen(press))
         reason = Sentence(
             f"the score {verdict.score:.4g} lies up to {self._plan.bound:.4g}, where one more press should pay; "
             "press the same piece again, a little shifted"
@@ -134,10 +143,37 @@ class PressAgain(PressStage):
             reason = Sentence("this second press has no score; press the same piece once more")
             return replace(press, again=Again(reason, True, first.press_id, first.score))
         self._first = None
-        lower = self._bundle.manifest.decide(min(first.score, verdict.score))
-        reason = Sentence(f"decided by the lower score of two presses, {lower.score:.4g}")
-        again = Again(reason, False, first.press_id, first.score)
-        return replace(press, verdict=second_verdict(first.score, verdict, lower), again=again)
+        together, both = self._score_both(press, first), min(first.score, verdict.score)
+        reason = Sentence(f"decided by the lower score of two presses, {both:.4g}")
+        if together is not None:
+            both = together
+            reason = Sentence(
+                f"decided by what both presses show at one place of the part: it counts as a score of {both:.4g}"
+            )
+        decided = second_verdict(verdict, self._bundle.manifest.decide(both))
+        return replace(
+            press, verdict=decided, again=Again(reason, False, first.press_id, first.score, together)
+        )
+
+    def _score_both(self, press: Press, first: _First) -> float | None:
+        """Return what both show at one place; None where places cannot be compared, and where the second press lies
+        above the bound: a first one fails there."""
+        second, score, bound = find_seen(press), press.score, self._plan.bound
+        if first.seen is None or second is None or score is None or bound is None or score > bound:
+            return None
+        return score_both(first.seen, second)
 
     def _due_ns(self) -> int:
         return self._clock.monotonic_ns() + round(self._within_s * 1e9)
+
+
+def find_seen(press: Press) -> SeenScores | None:
+    """Bring what a press shows to the places of the part. None where it has no pose, where the part looks the same in
+    several, where none of it was judged, and where its score is not that of a place, such as of missing relief."""
+    placed, shown = press.registered, press.score_map
+    if placed is None or placed.symmetry != 1 or shown is None or not press.is_of_place:
+        return None
+    is_judged, masked = placed.seen, press.scars.masked if press.scars else None
+    if masked is not None:
+        is_judged = is_judged & (warp(masked.astype(np.float32), placed.pose) == 0)
+    return SeenScores(warp(shown, placed.pose), is_judged) if is_judged.any() else None

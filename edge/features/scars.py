@@ -1,6 +1,5 @@
 """The scars of the mounted gel: each press is judged with them, and they are kept across restarts."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final, Self
@@ -31,8 +30,6 @@ __all__ = ["ScarWatch", "mask_scars"]
 
 # A new scar is kept at once, everything else of the record after this number of presses.
 _KEPT_EVERY: Final = 16
-# Rounding of a score that is the highest value of its map.
-_SAME: Final = 1e-4
 
 _NOWHERE: Final = Blame(
     Cause.UNSURE, "no place of the score map is above the limit, so no place of the gel can be looked at"
@@ -144,7 +141,7 @@ class ScarWatch(PressStage):
         press = _press_of_rules(inspection, inspector, found)
         if press is None:
             return inspection
-        if not (can_mask := _is_highest(inspection)):
+        if not (can_mask := inspection.is_of_place):
             press = replace(press, reach=None)
         is_masking = self._is_masking and can_mask
         judged = self._scars.judge(press, self._free.mean(), left, is_masking=is_masking)
@@ -185,14 +182,6 @@ def mask_scars(press: Press, findings: ScarFindings, bundle: Bundle) -> Press:
         score_map = np.where(findings.masked, score_map.min(), score_map)
         verdict = bundle.manifest.decide(float(score_map.max()))
     return replace(press, verdict=verdict, score_map=score_map, scars=findings).distrust()
-
-
-def _is_highest(inspection: Press) -> bool:
-    """Say whether the score is the highest value of its map, so that places can be left out of it."""
-    verdict, score_map = inspection.verdict, inspection.score_map
-    if verdict is None or verdict.score is None or score_map is None:
-        return False
-    return math.isclose(float(score_map.max()), verdict.score, rel_tol=_SAME)
 
 
 def _too_blind(gel_id: str, judged: Judged, most_blind_share: float) -> Sentence:

@@ -127,7 +127,12 @@ class PressAgainPart(_Part):
 
     is_asked: bool = Field(description="press the same piece again now, a little shifted")
     second_of: PressId | None = Field(default=None, description="`press_id` of the first press of this piece")
-    first_score: float | None = Field(default=None, description="its score; the lower of the two is decided")
+    first_score: float | None = Field(default=None, description="its score")
+    both_score: float | None = Field(
+        default=None,
+        description="what both show at one place, which is decided by `threshold`; null where the lower of their "
+        "scores is",
+    )
     reason: str = Field(description="one sentence")
 
 

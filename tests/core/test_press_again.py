@@ -8,7 +8,20 @@ import pytest
 from numpy.typing import NDArray
 
 from calibration.fitting.limits.threshold import conformal_threshold
-from edge.core.press_again import Costs, KnownScores, Plan, is_asked, plan, second_verdict, unsure
+from edge.core.imaging.quality import Reason, Rejection
+from edge.core.press_again import (
+    AGREED,
+    Costs,
+    KnownScores,
+    Plan,
+    SeenScores,
+    is_asked,
+    plan,
+    score_both,
+    second_verdict,
+    unsure,
+)
+from edge.core.sentence import Sentence
 from edge.core.verdict import Kind, Verdict, decide
 
 COSTS = Costs(missed=1000, false_alarm=200, press=1, defect_rate=0.01)
@@ -62,7 +75,7 @@ def test_the_simulation_decides_as_the_station() -> None:
         verdict = decide(one, 1.0)
         is_second = is_asked(verdict, 1.5)
         if is_second:
-            verdict = second_verdict(one, decide(two, 1.0), decide(min(one, two), 1.0))
+            verdict = second_verdict(decide(two, 1.0), decide(min(one, two), 1.0))
         assert ((verdict.kind is Kind.FAIL), 1 + is_second) == (bool(is_fail), count)
 
 
@@ -184,7 +197,7 @@ def test_a_press_that_asks_is_unsure() -> None:
 )
 def test_the_lower_of_two_scores_is_decided(first: float, second: float, expected: Kind) -> None:
     """The verdict keeps the second press's own score."""
-    verdict = second_verdict(first, decide(second, 1.0, 0.01), decide(min(first, second), 1.0, 0.01))
+    verdict = second_verdict(decide(second, 1.0, 0.01), decide(min(first, second), 1.0, 0.01))
 
     assert (verdict.kind, verdict.score) == (expected, second)
 
@@ -193,13 +206,44 @@ def test_a_press_that_does_not_pass_for_another_reason_does_not_pass_by_the_rule
     """Where too much of a press is not judged, its low score is no pass, and a second press would not help."""
     blind = Verdict(Kind.UNSURE, 0.5, 1.0, 0.01)
 
-    assert second_verdict(1.5, blind, decide(0.5, 1.0, 0.01)).kind is Kind.UNSURE
+    assert second_verdict(blind, decide(0.5, 1.0, 0.01)).kind is Kind.UNSURE
 
 
-def test_another_score_than_the_lower_is_refused() -> None:
-    """So that no caller decides by the higher one; and so are costs that cannot be."""
+def test_a_second_press_that_is_high_elsewhere_passes() -> None:
+    """Both lie above the threshold, and at no place together; its own score stays, also one at the threshold."""
+    for score in (1.3, 1.005):
+        verdict = second_verdict(decide(score, 1.0, 0.01), decide(0.8, 1.0, 0.01))
+        assert (verdict.kind, verdict.score) == (Kind.PASS, score)
+
+
+def seen(scores: list[float], judged: list[bool] | None = None) -> SeenScores:
+    """A map of one row."""
+    return SeenScores(np.array([scores], np.float32), np.array([judged or [True] * len(scores)]))
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "together"),
+    [
+        (seen([0.2, 1.1, 0.4]), seen([0.3, 1.0, 0.2]), 1.0),
+        (seen([0.2, 1.1, 0.4]), seen([1.1, 0.5, 0.2]), 0.5),
+        # What one press does not judge is decided by the other, and what none judges not at all.
+        (seen([0.2, 1.1, 0.4]), seen([0.3, 0.0, 0.2], [True, False, True]), 1.1),
+        (seen([0.2, 9.0, 0.4], [True, False, True]), seen([0.3, 9.0, 0.2], [True, False, True]), 0.2),
+    ],
+)
+def test_two_presses_show_together_what_both_show_at_one_place(
+    first: SeenScores, second: SeenScores, together: float
+) -> None:
+    for one, other in ((first, second), (second, first)):
+        assert score_both(one, other) == pytest.approx(together / AGREED)
+
+
+def test_what_cannot_be_is_refused() -> None:
+    """Costs that cannot be, a second press without a score, and two presses that judge no place."""
     for change, words in (({"press": -1}, "not negative"), ({"defect_rate": 2}, "a share")):
         with pytest.raises(ValueError, match=words):
             replace(COSTS, **change)
-    with pytest.raises(ValueError, match="the lower of"):
-        second_verdict(1.5, decide(0.9, 1.0), decide(1.5, 1.0))
+    with pytest.raises(ValueError, match="without a score"):
+        second_verdict(Verdict.rejected(Rejection(Reason.BLACK, Sentence("no light"))), decide(0.5, 1.0))
+    with pytest.raises(ValueError, match="no place"):
+        score_both(seen([1.0], [False]), seen([1.0], [False]))

@@ -12,21 +12,24 @@ import turned_parts as parts
 from numpy.typing import NDArray
 from registered_bundle import registered
 
-from edge.clock import SystemClock
+from edge.clock import ManualClock, SystemClock
 from edge.core.contact.mask import Touch
 from edge.core.imaging.frames import CameraFrame
 from edge.core.press import JudgedFrame, Press, ScarFindings
+from edge.core.press_again import Costs, Plan
 from edge.core.registration.pose import Pose
 from edge.core.sink_context import Place
 from edge.core.verdict import Blame, Cause, Kind
+from edge.features.black_box.replay import judge_again
 from edge.features.black_box.stage import BlackBox
+from edge.features.press_again import PressAgain
 from edge.features.scars import mask_scars
 from edge.gateway.pictures import PressDrawing
 from edge.gateway.recorder import PressReport, Recorder, draw_archived, press_drawing
 from edge.model.comparison import compare_press
 from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
-from edge.store.press_archive import PressArchive
+from edge.store.press_archive import ArchiveFolder, PressArchive
 from edge.store.press_store import Store
 from edge.store.ulid import new_ulid
 
@@ -197,3 +200,98 @@ def test_a_press_whose_pose_is_not_found_is_rejected(record: Record, inspector: 
     assert press.word == "rejected"
     assert str(result.reason).startswith("no_pose: the part is not recognised")
     assert result.pose is None
+
+
+Judge = Callable[..., list[Press]]
+
+
+@pytest.fixture
+def judge_twice(tmp_path: Path, inspector: Inspector) -> Iterator[Judge]:
+    """Judges two presses of a piece as a station that asks for a second one up to twice the threshold; each is archived
+    and judged again from there, with the same verdict."""
+
+    def judge(
+        *pictures: NDArray[np.uint8],
+        bound: float = 2.0,
+        change: Callable[[Press], Press] = lambda press: press,
+    ) -> list[Press]:
+        threshold = inspector.bundle.manifest.threshold.value
+        again = PressAgain(Costs(1, 1, 1, 0.01), 30.0, ManualClock(), Mock())
+        again.use(inspector)
+        again._plan = Plan("", bound * threshold)
+        presses = []
+        for rgb in pictures:
+            press = again.judge(change(inspect(inspector, rgb)), None, inspector)
+            press = replace(press, press_id=new_ulid(0), bundle_id=inspector.bundle.digest)
+            press = box.keep(press, inspector)
+            box.record(press, store.gel("SIM1", 0))
+            archived = folder.press(press.press_id, press.evidence)
+            assert judge_again(archived, folder, inspector).now.verdict == press.verdict
+            presses.append(press)
+        return presses
+
+    with Store(tmp_path / "presses.db") as store:
+        folder = ArchiveFolder(store.path.with_suffix(".archive"))
+        box = BlackBox(PressArchive(folder.folder, 9, 10**9), store, "site/line/station", 1, Mock())
+        box.mount(store.gel("SIM1", 0))
+        yield judge
+
+
+HERE, THERE = Pose(-4.0, 6.0, 0.5), Pose(3.0, 1.0, 0.8)
+# Bumps that no nominal press has, which score 1.25 to 1.5 times the threshold, at their places on the part.
+BUMP, ELSEWHERE = (4.0, -32.0, 3.5, 1.0), (20.0, 20.0, 3.5, 1.0)
+
+
+def test_damage_is_at_one_place_of_the_part_in_both_presses(judge_twice: Judge) -> None:
+    """However the part lies the second time. A press that shows as much elsewhere shows no damage of this piece."""
+    damaged = [parts.press((*parts.BLOCK, BUMP), pose, seed=k) for k, pose in enumerate((HERE, THERE))]
+    elsewhere = parts.press((*parts.BLOCK, ELSEWHERE), THERE, seed=1)
+    same = judge_twice(*damaged)
+    other = judge_twice(damaged[0], elsewhere)
+
+    assert [press.word for press in same] == ["unsure", "fail"]
+    assert [press.word for press in other] == ["unsure", "pass"]
+    for press in (same[1], other[1]):
+        assert press.again is not None
+        assert press.again.both_score is not None
+        assert press.score is not None
+        assert press.verdict is not None
+        assert press.score > (press.verdict.threshold or 9)
+
+
+def test_what_only_the_second_press_shows_clearly_fails(judge_twice: Judge) -> None:
+    """Above the bound a first press fails at once; so does a second one, whatever the first showed there."""
+    faint, elsewhere = (4.0, -32.0, 3.5, 0.75), parts.press((*parts.BLOCK, ELSEWHERE), THERE, seed=1)
+    first, second = judge_twice(parts.press((*parts.BLOCK, faint), HERE), elsewhere, bound=1.4)
+
+    assert (first.word, second.word) == ("unsure", "fail")
+    assert second.again is not None
+    assert (second.again.both_score, second.again.first_score) == (None, first.score)
+
+
+def _looks_the_same_turned(press: Press) -> Press:
+    assert press.registered is not None
+    return replace(press, registered=replace(press.registered, symmetry=2))
+
+
+def _scores_missing_relief(press: Press) -> Press:
+    assert press.score_map is not None
+    return replace(press, score_map=press.score_map / 2)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [lambda press: replace(press, registered=None), _looks_the_same_turned, _scores_missing_relief],
+    ids=["no pose", "several places look the same", "the score is of no place"],
+)
+def test_where_places_cannot_be_compared_the_lower_score_decides(
+    judge_twice: Judge, change: Callable[[Press], Press]
+) -> None:
+    """So the piece fails, whose presses are high at two places."""
+    bumps = (HERE, BUMP), (THERE, ELSEWHERE)
+    pictures = [parts.press((*parts.BLOCK, bump), pose, seed=k) for k, (pose, bump) in enumerate(bumps)]
+    presses = judge_twice(*pictures, change=change)
+
+    assert [press.word for press in presses] == ["unsure", "fail"]
+    assert presses[1].again is not None
+    assert presses[1].again.both_score is None

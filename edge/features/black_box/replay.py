@@ -122,8 +122,8 @@ def _with_the_other_press(press: ArchivedPress, now: Press, inspector: Inspector
         return replace(now, verdict=unsure(verdict))
     if press.first_score is None:
         return now
-    lower = inspector.bundle.manifest.decide(min(press.first_score, verdict.score))
-    return replace(now, verdict=second_verdict(press.first_score, verdict, lower))
+    both = min(press.first_score, verdict.score) if press.both_score is None else press.both_score
+    return replace(now, verdict=second_verdict(verdict, inspector.bundle.manifest.decide(both)))
 
 
 def _differences(press: ArchivedPress, now: Press, archive: ArchiveFolder) -> Iterator[str]:
