@@ -1,27 +1,30 @@
 """The page in headless Chromium: it shows what the station says, and a person with the token changes something."""
 
+import re
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 from chromium import BROWSER_MS, wait_until
-from page_messages import PICTURE, T0_NS, TOKEN, contact, drift, gel, info, piece, press, state, stats
+from page_messages import PICTURE, ROOT, T0_NS, TOKEN, contact, drift, gel, info, piece, press, state, stats
 from ports import free_port
 from station import MQTT, Motion, press_recording, station_config, two_parts
 from stepped_station import correct_counts
 
-from edge.clock import SystemClock
+from edge.clock import ManualClock, SystemClock
 from edge.config import load_config
 from edge.core.gel_life import GelState
 from edge.core.ports import Message
+from edge.core.sink_context import Station
 from edge.core.verdict import Cause, Kind
 from edge.gateway.build import open_station
 from edge.gateway.station_loop import StationLoop
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload
 from edge.messaging.result_payload import PressAgainPart
-from plugins.sinks.page import PageSink
+from plugins.sinks.page import PageOptions, PageSink
 
 
 @pytest.fixture
@@ -71,6 +74,25 @@ def test_a_person_sees_the_verdict_as_it_comes(tab: Any, sink: PageSink) -> None
     assert "mqtt: no broker answers" in tab.inner_text("#receivers")
     assert tab.locator("#presses tr").count() == 2
     wait_until(tab, "document.getElementById('picture').naturalWidth > 0")
+
+
+def test_a_press_of_before_the_start_is_listed_and_is_not_the_verdict(browser: Any) -> None:
+    """With its day, where that is another one; the part that lies there now was not judged."""
+    before = {"press_id": "0" * 26, "sequence": 1, "part": "bolt", "verdict": "pass", "score_ratio": 0.7}
+    before |= {"time_ns": T0_NS, "time_ms": T0_NS // 10**6}
+    station = Station(ROOT, "press2", earlier=lambda most: [before])
+    with closing(PageSink(PageOptions(), station, ManualClock(), port=0)) as sink:
+        tab = browser.new_page()
+        tab.goto(f"http://127.0.0.1:{sink.port}/")
+        tab.wait_for_selector("#presses tr")
+        assert tab.inner_text("#verdict").lower() == "no press yet"
+        assert re.search(r"PASS\s+0.70\s+bolt\s+\d{4}-\d\d-\d\d \d\d:\d\d:\d\d", tab.inner_text("#presses"))
+
+        for message in press(2):
+            sink.send(message)
+        tab.wait_for_selector("#verdict.pass")
+        assert tab.locator("#presses tr").count() == 2
+        tab.close()
 
 
 def test_charts_of_passing_presses_say_what_has_shifted_and_what_to_do(tab: Any, sink: PageSink) -> None:
