@@ -1,9 +1,10 @@
 """`gelgate bundle learn`: a bundle, its nominal presses and what people said at the station in, a new bundle out."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from edge.model.bundle import Bundle
 
 __all__ = ["learn", "warn_of_lost"]
+
+# Of 48 rendered damages two fits of the same part find some more or fewer by chance.
+_FEWER = 0.9
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,7 @@ def learn(given: LearnArguments) -> None:
         fitted = draw_again(old, fitted, presses, config, created)
         comparison = compare(old, fitted.bundle(), confirmed, database, given.threads)
         typer.echo(f"{comparison.describe()}; {comparison.changes()}")
+        _warn_of_fewer_found(old.manifest.facts, fitted.manifest.facts)
         try:
             comparison.check()
         except FitError as error:
@@ -164,6 +169,20 @@ def warn_of_lost(old: "Bundle") -> None:
     if taught:
         typer.echo(
             f"warning: the old bundle was taught {', '.join(taught)}; teach the new one again (`gelgate bundle teach`)",
+            err=True,
+        )
+
+
+def _warn_of_fewer_found(old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
+    """Warn where the new bundle finds less of the damage that a fit renders. old, new: the facts of their manifests."""
+    from edge.model.manifest_facts import share_found
+
+    before, now = share_found(old), share_found(new)
+    if before is not None and now is not None and now < _FEWER * before:
+        typer.echo(
+            f"warning: of the small damage that a fit renders the new bundle finds {now:.0%}, the old one "
+            f"{before:.0%}: the learnt presses raise its limit; press damaged parts before it takes over, and teach "
+            "it those that pass (`gelgate bundle teach`)",
             err=True,
         )
 

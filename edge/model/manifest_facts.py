@@ -65,6 +65,15 @@ def choice_sentence(facts: Mapping[str, Any], name: str) -> str:
     return str(entry["why"])
 
 
+def share_found(facts: Mapping[str, Any]) -> float | None:
+    """Return the share of small rendered damage that the bundle finds; None where none was rendered."""
+    entry = facts.get(LIMIT)
+    if not isinstance(entry, Mapping) or not isinstance(shares := entry.get("found"), Mapping):
+        return None
+    share = shares.get(entry.get("kind"))
+    return float(share) if isinstance(share, int | float) else None
+
+
 def copies_of_each(facts: Mapping[str, Any]) -> int:
     """Return the copies of every nominal press in the bundle's bank, 0 for none."""
     entry = facts.get(AUGMENTATION)

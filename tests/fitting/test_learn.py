@@ -5,6 +5,7 @@ import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import cv2
@@ -18,6 +19,7 @@ from stepped_station import SteppedStation
 
 from calibration.fitting.fit_again import configure_again
 from calibration.fitting.learn import Comparison, ConfirmedPress, ConfirmedPresses, write_picture
+from calibration.fitting.learn_command import _warn_of_fewer_found
 from calibration.fitting.presses.nominal_presses import read_presses
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
@@ -363,3 +365,17 @@ def test_what_the_old_fit_was_asked_for_is_asked_for_again(station: Judged, tmp_
     found = (again.seed, again.folds, again.limit, again.register, again.augment, again.is_scattered)
     assert found == (4, 3, "plain", "never", "auto", True)
     assert old.manifest.facts["settings"] == PLAIN, "what was not asked for is not kept"
+
+
+def test_a_bundle_that_finds_less_rendered_damage_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    """People are asked about the highest presses, so what is learnt raises the limit."""
+
+    def facts(**found: float) -> dict[str, Any]:
+        return {"limit": {"kind": next(iter(found), "plain"), "why": "", "found": found}}
+
+    new, fewer = facts(surroundings=0.4583, plain=0.4375), facts(plain=0.625, surroundings=0.5)
+    for old in (fewer, facts(plain=0.5), facts(), {}):
+        _warn_of_fewer_found(old, new)
+        said = capsys.readouterr().err
+        assert bool(said) == (old is fewer)
+        assert ("the new bundle finds 46%, the old one 62%" in said) == (old is fewer)
