@@ -98,7 +98,7 @@ class ScarFindings:
 @dataclass(frozen=True)
 class Again:
     """One more press of the same piece. second_of, first_score: of the first press, where this is the second.
-    both_score: what the two show together, where that is not the lower of their scores."""
+    own_score: of this press, where it is decided by what both show at one place."""
 
     reason: str
     """One sentence."""
@@ -106,7 +106,7 @@ class Again:
     """It is asked for."""
     second_of: str | None = None
     first_score: float | None = None
-    both_score: float | None = None
+    own_score: float | None = None
     bound: float | None = None
     """Up to this score a second press is asked for."""
 

@@ -22,7 +22,7 @@ piece are two draws from the scores of the same kind and size of rendered damage
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Final
@@ -30,7 +30,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.verdict import Kind, Verdict, decide
+from edge.core.verdict import Kind, Verdict
 
 __all__ = [
     "AGREED",
@@ -145,17 +145,20 @@ def score_both(first: SeenScores, second: SeenScores) -> float:
     return float(shown.max()) / AGREED
 
 
-def second_verdict(second: Verdict, both: Verdict) -> Verdict:
-    """The verdict on a second press, with its own score. both: the verdict on the score of both together.
+def second_verdict(
+    second: Verdict, first_score: float, both_score: float | None, decide: Callable[[float], Verdict]
+) -> Verdict:
+    """The verdict on a second press, with the score by which it is decided: `both_score`, or without it its own.
 
-    A second press that does not pass for another reason than its score does not pass by this. Errors: ValueError for a
-    press without a score.
+    both_score: as `score_both`; None for the lower of the two scores. decide: by the threshold. A second press that
+    does not pass for another reason than its score does not pass by this. Errors: ValueError for one without a score.
     """
-    if second.score is None or both.score is None:
+    if second.score is None:
         raise ValueError("a second press without a score is not decided")
-    by_score = decide(second.score, both.threshold or 0.0, both.tolerance or 0.0)
-    is_another = both.kind is Kind.PASS and second.kind is not by_score.kind
-    return Verdict(second.kind if is_another else both.kind, second.score, second.threshold, second.tolerance)
+    both = decide(min(first_score, second.score) if both_score is None else both_score)
+    is_another = both.kind is Kind.PASS and second.kind is not decide(second.score).kind
+    score = second.score if both_score is None else both_score
+    return Verdict(second.kind if is_another else both.kind, score, second.threshold, second.tolerance)
 
 
 def plan(known: KnownScores, threshold: float, rate: float, costs: Costs) -> Plan:

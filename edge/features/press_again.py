@@ -97,7 +97,7 @@ class PressAgain(PressStage):
             is_asked=again.is_asked,
             second_of=second_of,
             first_score=again.first_score,
-            both_score=again.both_score,
+            own_score=again.own_score,
             reason=again.reason,
         )
         return {"press_again": part}
@@ -143,17 +143,15 @@ class PressAgain(PressStage):
             reason = Sentence("this second press has no score; press the same piece once more")
             return replace(press, again=Again(reason, True, first.press_id, first.score))
         self._first = None
-        together, both = self._score_both(press, first), min(first.score, verdict.score)
-        reason = Sentence(f"decided by the lower score of two presses, {both:.4g}")
-        if together is not None:
-            both = together
-            reason = Sentence(
-                f"decided by what both presses show at one place of the part: it counts as a score of {both:.4g}"
-            )
-        decided = second_verdict(verdict, self._bundle.manifest.decide(both))
-        return replace(
-            press, verdict=decided, again=Again(reason, False, first.press_id, first.score, together)
-        )
+        both = self._score_both(press, first)
+        if both is None:
+            lower = min(first.score, verdict.score)
+            reason = Sentence(f"decided by the lower score of two presses, {lower:.4g}")
+        else:
+            reason = Sentence(f"decided by what both presses show at one place of the part, {both:.4g}")
+        decided = second_verdict(verdict, first.score, both, self._bundle.manifest.decide)
+        own = None if both is None else verdict.score
+        return replace(press, verdict=decided, again=Again(reason, False, first.press_id, first.score, own))
 
     def _score_both(self, press: Press, first: _First) -> float | None:
         """Return what both show at one place; None where places cannot be compared, and where the second press lies

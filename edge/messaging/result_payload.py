@@ -128,10 +128,10 @@ class PressAgainPart(_Part):
     is_asked: bool = Field(description="press the same piece again now, a little shifted")
     second_of: PressId | None = Field(default=None, description="`press_id` of the first press of this piece")
     first_score: float | None = Field(default=None, description="its score")
-    both_score: float | None = Field(
+    own_score: float | None = Field(
         default=None,
-        description="what both show at one place, which is decided by `threshold`; null where the lower of their "
-        "scores is",
+        description="of this press, where its `score` is what both presses show at one place; null where the lower of "
+        "the two scores decides",
     )
     reason: str = Field(description="one sentence")
 
@@ -181,7 +181,7 @@ class ResultPayload(Payload):
         default=None, description=f"why it is rejected: {_REASONS}; a colon; a sentence"
     )
     error: str | None = Field(default=None, description="why there is no verdict")
-    score: float | None = Field(default=None, description="raw anomaly score, higher is more anomalous")
+    score: float | None = Field(default=None, description="raw, higher is more anomalous; see `press_again`")
     threshold: float | None = Field(default=None, description="scores above it fail")
     tolerance: float | None = Field(
         default=None, ge=0, description="scores this near the threshold are unsure"

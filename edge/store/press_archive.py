@@ -93,8 +93,8 @@ class ArchivedPress(BaseModel, frozen=True, extra="forbid", strict=True, allow_i
     """The bound, for a press after which a second one was asked for."""
     first_score: float | None = None
     """The score of the first press, for a second one."""
-    both_score: float | None = None
-    """What the two show together, where that and not the lower of their scores was decided."""
+    own_score: float | None = None
+    """Its own, for a second one whose `score` is what both presses showed at one place."""
     masked: Digest | None = None
     """Places that were not judged, under scars or beyond the part, one bit each, row by row."""
     light: tuple[_Colour, _Colour] | tuple[_Colour, _Colour, str] | None = None

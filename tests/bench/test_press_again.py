@@ -70,7 +70,7 @@ def judged(scorer: Scorer, bound: float | None, presses: list[list[NDArray[np.ui
             assert unsure(first).kind is Kind.UNSURE
             second = decide(scorer.score(two).anomaly_score)
             assert second.score is not None
-            final, used = second_verdict(second, decide(min(first.score, second.score))), 2
+            final, used = second_verdict(second, first.score, None, decide), 2
         first_fails.append(first.kind is not Kind.PASS)
         fails.append(final.kind is not Kind.PASS)
         count.append(used)

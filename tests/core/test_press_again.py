@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from edge.core.sentence import Sentence
 from edge.core.verdict import Kind, Verdict, decide
 
 COSTS = Costs(missed=1000, false_alarm=200, press=1, defect_rate=0.01)
+AT_ONE, NARROW = partial(decide, threshold=1.0), partial(decide, threshold=1.0, tolerance=0.01)
 ALPHA = 0.05
 Scores = NDArray[np.float64]
 SIZES = (1.0, 2.5, 4.0)
@@ -75,7 +77,7 @@ def test_the_simulation_decides_as_the_station() -> None:
         verdict = decide(one, 1.0)
         is_second = is_asked(verdict, 1.5)
         if is_second:
-            verdict = second_verdict(decide(two, 1.0), decide(min(one, two), 1.0))
+            verdict = second_verdict(decide(two, 1.0), one, None, AT_ONE)
         assert ((verdict.kind is Kind.FAIL), 1 + is_second) == (bool(is_fail), count)
 
 
@@ -197,7 +199,7 @@ def test_a_press_that_asks_is_unsure() -> None:
 )
 def test_the_lower_of_two_scores_is_decided(first: float, second: float, expected: Kind) -> None:
     """The verdict keeps the second press's own score."""
-    verdict = second_verdict(decide(second, 1.0, 0.01), decide(min(first, second), 1.0, 0.01))
+    verdict = second_verdict(NARROW(second), first, None, NARROW)
 
     assert (verdict.kind, verdict.score) == (expected, second)
 
@@ -206,14 +208,16 @@ def test_a_press_that_does_not_pass_for_another_reason_does_not_pass_by_the_rule
     """Where too much of a press is not judged, its low score is no pass, and a second press would not help."""
     blind = Verdict(Kind.UNSURE, 0.5, 1.0, 0.01)
 
-    assert second_verdict(blind, decide(0.5, 1.0, 0.01)).kind is Kind.UNSURE
+    assert second_verdict(blind, 1.5, None, NARROW).kind is Kind.UNSURE
 
 
-def test_a_second_press_that_is_high_elsewhere_passes() -> None:
-    """Both lie above the threshold, and at no place together; its own score stays, also one at the threshold."""
-    for score in (1.3, 1.005):
-        verdict = second_verdict(decide(score, 1.0, 0.01), decide(0.8, 1.0, 0.01))
-        assert (verdict.kind, verdict.score) == (Kind.PASS, score)
+@pytest.mark.parametrize("own", [1.3, 1.005, 0.97])
+@pytest.mark.parametrize(("both", "kind"), [(0.8, Kind.PASS), (1.02, Kind.FAIL), (1.0, Kind.UNSURE)])
+def test_what_both_show_is_decided_and_is_the_score(own: float, both: float, kind: Kind) -> None:
+    """Whether the second press alone lies above the threshold, at it or below."""
+    verdict = second_verdict(NARROW(own), 1.5, both, NARROW)
+
+    assert (verdict.kind, verdict.score) == (kind, both)
 
 
 def seen(scores: list[float], judged: list[bool] | None = None) -> SeenScores:
@@ -244,6 +248,6 @@ def test_what_cannot_be_is_refused() -> None:
         with pytest.raises(ValueError, match=words):
             replace(COSTS, **change)
     with pytest.raises(ValueError, match="without a score"):
-        second_verdict(Verdict.rejected(Rejection(Reason.BLACK, Sentence("no light"))), decide(0.5, 1.0))
+        second_verdict(Verdict.rejected(Rejection(Reason.BLACK, Sentence("no light"))), 1.5, None, NARROW)
     with pytest.raises(ValueError, match="no place"):
         score_both(seen([1.0], [False]), seen([1.0], [False]))

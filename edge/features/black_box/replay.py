@@ -122,8 +122,9 @@ def _with_the_other_press(press: ArchivedPress, now: Press, inspector: Inspector
         return replace(now, verdict=unsure(verdict))
     if press.first_score is None:
         return now
-    both = min(press.first_score, verdict.score) if press.both_score is None else press.both_score
-    return replace(now, verdict=second_verdict(verdict, inspector.bundle.manifest.decide(both)))
+    both_score = None if press.own_score is None else press.score
+    decide = inspector.bundle.manifest.decide
+    return replace(now, verdict=second_verdict(verdict, press.first_score, both_score, decide))
 
 
 def _differences(press: ArchivedPress, now: Press, archive: ArchiveFolder) -> Iterator[str]:

@@ -102,7 +102,7 @@ class BlackBox(PressStage):
             score_map=score_map[0] if score_map else None,
             asked_up_to=again.bound if again else None,
             first_score=again.first_score if again else None,
-            both_score=again.both_score if again else None,
+            own_score=again.own_score if again else None,
             map_shape=None if press.score_map is None else press.score_map.shape,
             masked=masked[0] if masked else None,
             light=None if press.light is None else press.light.record(),
