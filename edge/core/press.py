@@ -98,7 +98,8 @@ class ScarFindings:
 @dataclass(frozen=True)
 class Again:
     """One more press of the same piece. second_of, first_score: of the first press, where this is the second.
-    own_score: of this press, where it is decided by what both show at one place."""
+    own_score: of this press, where it is decided by what both show at one place; shown_from: its score there counts
+    from this value on."""
 
     reason: str
     """One sentence."""
@@ -107,6 +108,7 @@ class Again:
     second_of: str | None = None
     first_score: float | None = None
     own_score: float | None = None
+    shown_from: float | None = None
     bound: float | None = None
     """Up to this score a second press is asked for."""
 

@@ -12,7 +12,16 @@ from edge.core.contact.events import PressSettled
 from edge.core.piece import PlacePress
 from edge.core.ports import Clock
 from edge.core.press import Again, Press
-from edge.core.press_again import Costs, Plan, SeenScores, is_asked, score_both, second_verdict, unsure
+from edge.core.press_again import (
+    AGREED,
+    Costs,
+    Plan,
+    SeenScores,
+    is_asked,
+    score_both,
+    second_verdict,
+    unsure,
+)
 from edge.core.registration.pose import warp
 from edge.core.sentence import Sentence
 from edge.messaging.result_payload import PressAgainPart
@@ -143,15 +152,16 @@ class PressAgain(PressStage):
             reason = Sentence("this second press has no score; press the same piece once more")
             return replace(press, again=Again(reason, True, first.press_id, first.score))
         self._first = None
-        both = self._score_both(press, first)
-        if both is None:
-            lower = min(first.score, verdict.score)
-            reason = Sentence(f"decided by the lower score of two presses, {lower:.4g}")
-        else:
+        manifest, both = self._bundle.manifest, self._score_both(press, first)
+        lower = min(first.score, verdict.score)
+        reason = Sentence(f"decided by the lower score of two presses, {lower:.4g}")
+        again = Again(reason, False, first.press_id, first.score)
+        if both is not None:
             reason = Sentence(f"decided by what both presses show at one place of the part, {both:.4g}")
-        decided = second_verdict(verdict, first.score, both, self._bundle.manifest.decide)
-        own = None if both is None else verdict.score
-        return replace(press, verdict=decided, again=Again(reason, False, first.press_id, first.score, own))
+            level = AGREED * manifest.threshold.value
+            again = replace(again, reason=reason, own_score=verdict.score, shown_from=level)
+        decided = second_verdict(verdict, first.score, both, manifest.decide)
+        return replace(press, verdict=decided, again=again)
 
     def _score_both(self, press: Press, first: _First) -> float | None:
         """Return what both show at one place; None where places cannot be compared, and where the second press lies

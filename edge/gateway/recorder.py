@@ -312,10 +312,11 @@ def _judgement(press: Press, bundle: Bundle) -> Mapping[str, Any]:
 
 
 def _defects(press: Press, bundle: Bundle) -> Mapping[str, Any]:
-    """Return where the press exceeds the threshold; nothing for a pass and for a press without a score."""
+    """Return where the press exceeds the threshold, or what is decided by; nothing for a pass and without a score."""
     if press.score_map is None or press.verdict is None or press.verdict.kind is Kind.PASS:
         return {}
-    defects = find_defects(press.score_map, bundle.manifest.threshold.value)
+    level = press.again.shown_from if press.again else None
+    defects = find_defects(press.score_map, bundle.manifest.threshold.value if level is None else level)
     x_mm, y_mm = bundle.profile.mm_per_pixel
     regions = bundle.manifest.regions.regions if bundle.manifest.regions else ()
     pose = None if press.registered is None else press.registered.pose

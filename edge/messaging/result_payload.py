@@ -191,7 +191,8 @@ class ResultPayload(Payload):
     )
     defects: list[DefectPlace] | None = Field(
         default=None,
-        description="where the score map is above the threshold, highest score first, "
+        description="where the score map is above the threshold (of a second press with `own_score`: above 0.95 of "
+        "it), highest score first, "
         f"at most {MOST_DEFECTS}; null for a pass and for a press without a score",
     )
     defect_area_mm2: float | None = Field(

@@ -258,6 +258,20 @@ def test_damage_is_at_one_place_of_the_part_in_both_presses(judge_twice: Judge, 
         assert ((press.score or 0) > threshold) == (press.word == "fail")
 
 
+def test_a_fail_by_both_presses_says_where(judge_twice: Judge, record: Record) -> None:
+    """Also where the second one alone would pass."""
+    heights = ((HERE, 0.75), (THERE, 0.635))
+    pictures = [parts.press((*parts.BLOCK, (*BUMP[:3], height)), pose) for pose, height in heights]
+    _, second = judge_twice(*pictures)
+    result = record(second).result
+
+    assert second.again is not None
+    assert second.verdict is not None
+    assert 0 < (second.again.own_score or 9) < (second.verdict.threshold or 0)
+    assert (result.verdict, len(result.defects or ())) == (Kind.FAIL, 1)
+    assert (result.score_ratio or 0) > 1
+
+
 def test_what_only_the_second_press_shows_clearly_fails(judge_twice: Judge) -> None:
     """Above the bound a first press fails at once; so does a second one, whatever the first showed there."""
     faint, elsewhere = (4.0, -32.0, 3.5, 0.75), parts.press((*parts.BLOCK, ELSEWHERE), THERE, seed=1)
