@@ -24,6 +24,7 @@ from edge.core.press_again import (
 )
 from edge.core.registration.pose import warp
 from edge.core.sentence import Sentence
+from edge.core.verdict import Blame, Kind
 from edge.messaging.result_payload import PressAgainPart
 from edge.model.again_facts import again_sentence, plan_for
 from edge.model.bundle import Bundle
@@ -46,6 +47,7 @@ class _First:
     piece: PlacePress | None
     seen: SeenScores | None
     """Where it shows its score, on the part."""
+    blame: Blame | None
 
 
 class PressAgain(PressStage):
@@ -137,7 +139,8 @@ class PressAgain(PressStage):
         verdict = press.verdict
         if verdict is None or not is_asked(verdict, self._plan.bound) or verdict.score is None:
             return press
-        self._first = _First(verdict.score, self._due_ns(), press.press_id, press.piece, find_seen(press))
+        due_ns, seen = self._due_ns(), find_seen(press)
+        self._first = _First(verdict.score, due_ns, press.press_id, press.piece, seen, press.blame)
         reason = Sentence(
             f"the score {verdict.score:.4g} lies up to {self._plan.bound:.4g}, where one more press should pay; "
             "press the same piece again, a little shifted"
@@ -160,6 +163,8 @@ class PressAgain(PressStage):
             reason = Sentence(f"decided by what both presses show at one place of the part, {both:.4g}")
             level = AGREED * manifest.threshold.value
             again = replace(again, reason=reason, own_score=verdict.score, shown_from=level)
+            if press.scars and first.blame and verdict.kind is Kind.PASS:  # the first one alone was looked at
+                press = replace(press, scars=replace(press.scars, blame=first.blame))
         decided = second_verdict(verdict, first.score, both, manifest.decide)
         return replace(press, verdict=decided, again=again)
 
@@ -177,9 +182,12 @@ class PressAgain(PressStage):
 
 def find_seen(press: Press) -> SeenScores | None:
     """Bring what a press shows to the places of the part. None where it has no pose, where the part looks the same in
-    several, where none of it was judged, and where its score is not that of a place, such as of missing relief."""
-    placed, shown = press.registered, press.score_map
+    several, where none of it was judged, where its score is not that of a place, such as of missing relief, and where
+    the threshold is not above 0, so that it has no share."""
+    placed, shown, verdict = press.registered, press.score_map, press.verdict
     if placed is None or placed.symmetry != 1 or shown is None or not press.is_of_place:
+        return None
+    if verdict is None or not (verdict.threshold or 0.0) > 0:
         return None
     is_judged, masked = placed.seen, press.scars.masked if press.scars else None
     if masked is not None:

@@ -22,7 +22,7 @@ from edge.core.sink_context import Place
 from edge.core.verdict import Blame, Cause, Kind
 from edge.features.black_box.replay import judge_again
 from edge.features.black_box.stage import BlackBox
-from edge.features.press_again import PressAgain
+from edge.features.press_again import PressAgain, find_seen
 from edge.features.scars import mask_scars
 from edge.gateway.pictures import PressDrawing
 from edge.gateway.recorder import PressReport, Recorder, draw_archived, press_drawing
@@ -259,16 +259,23 @@ def test_damage_is_at_one_place_of_the_part_in_both_presses(judge_twice: Judge, 
 
 
 def test_a_fail_by_both_presses_says_where(judge_twice: Judge, record: Record) -> None:
-    """Also where the second one alone would pass."""
+    """Also where the second one alone would pass; its cause is that of the first, whose places were looked at."""
+    causes = {
+        "fail": Blame(Cause.PART, "no mark of the gel"),
+        "pass": Blame(Cause.UNSURE, "no place is above"),
+    }
     heights = ((HERE, 0.75), (THERE, 0.635))
     pictures = [parts.press((*parts.BLOCK, (*BUMP[:3], height)), pose) for pose, height in heights]
-    _, second = judge_twice(*pictures)
+    _, second = judge_twice(
+        *pictures, change=lambda press: replace(press, scars=ScarFindings(causes[press.word]))
+    )
     result = record(second).result
 
     assert second.again is not None
     assert second.verdict is not None
     assert 0 < (second.again.own_score or 9) < (second.verdict.threshold or 0)
     assert (result.verdict, len(result.defects or ())) == (Kind.FAIL, 1)
+    assert second.blame == causes["fail"]
     assert (result.score_ratio or 0) > 1
 
 
@@ -294,7 +301,11 @@ def _scores_missing_relief(press: Press) -> Press:
 
 @pytest.mark.parametrize(
     "change",
-    [lambda press: replace(press, registered=None), _looks_the_same_turned, _scores_missing_relief],
+    [
+        lambda press: replace(press, registered=None),
+        _looks_the_same_turned,
+        _scores_missing_relief,
+    ],
     ids=["no pose", "several places look the same", "the score is of no place"],
 )
 def test_where_places_cannot_be_compared_the_lower_score_decides(
@@ -308,3 +319,10 @@ def test_where_places_cannot_be_compared_the_lower_score_decides(
     assert [press.word for press in presses] == ["unsure", "fail"]
     assert presses[1].again is not None
     assert presses[1].again.own_score is None
+
+
+def test_a_threshold_below_zero_has_no_share(inspector: Inspector) -> None:
+    press = inspect(inspector, parts.press((*parts.BLOCK, BUMP), HERE))
+    assert press.verdict is not None
+    assert find_seen(press) is not None
+    assert find_seen(replace(press, verdict=replace(press.verdict, threshold=-1.0))) is None
