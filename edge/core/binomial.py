@@ -12,6 +12,9 @@ __all__ = ["CONFIDENCE", "beta_quantile", "rate_limits", "trials_needed", "upper
 CONFIDENCE = 0.9
 """The probability with which a limit holds, over sets of presses."""
 
+# A term that is this share of a sum changes it no more.
+_NOTHING = 1e-17
+
 
 def upper_rate(alarms: int, trials: int, confidence: float = CONFIDENCE) -> float:
     """The rate that is exceeded with probability 1 - confidence at most, after `alarms` of `trials`, 0 to 1."""
@@ -54,12 +57,19 @@ def beta_quantile(probability: float, a: int, b: int) -> float:
 def _beta_below(x: float, a: int, b: int) -> float:
     """P(Beta(a, b) <= x) as P(Binomial(a + b - 1, x) >= a), 0 < x < 1."""
     n = a + b - 1
-    logs = (
-        math.lgamma(n + 1)
-        - math.lgamma(k + 1)
-        - math.lgamma(n - k + 1)
-        + k * math.log(x)
-        + (n - k) * math.log1p(-x)
-        for k in range(a, n + 1)
-    )
-    return math.fsum(map(math.exp, logs))
+    return _binomial_tail(a, n, x) if a >= n * x else 1 - _binomial_tail(b, n, 1 - x)
+
+
+def _binomial_tail(least: int, n: int, x: float) -> float:
+    """P(Binomial(n, x) >= least) from its mean on, where each term is smaller than the one before: some sqrt(n) count.
+
+    The station asks while presses prove a bundle on a new gel, at each of them.
+    """
+    ways = math.lgamma(n + 1) - math.lgamma(least + 1) - math.lgamma(n - least + 1)
+    term = total = math.exp(ways + least * math.log(x) + (n - least) * math.log1p(-x))
+    for k in range(least, n):
+        term *= (n - k) / (k + 1) * x / (1 - x)
+        total += term
+        if term < _NOTHING * total:
+            break
+    return total

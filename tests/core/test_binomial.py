@@ -18,7 +18,10 @@ def test_trials_without_an_alarm(rate: float, confidence: float, trials: int) ->
 
 
 @pytest.mark.parametrize("confidence", [0.5, 0.9, 0.95, 0.99])
-@pytest.mark.parametrize(("alarms", "trials"), [(0, 1), (0, 22), (1, 38), (3, 40), (19, 20), (12, 400)])
+@pytest.mark.parametrize(
+    ("alarms", "trials"),
+    [(0, 1), (0, 22), (1, 38), (3, 40), (19, 20), (12, 400), (300, 2500), (2400, 2500), (9, 100_000)],
+)
 def test_the_limit_is_that_of_clopper_and_pearson(alarms: int, trials: int, confidence: float) -> None:
     """Against scipy's one-sided exact limit."""
     found = scipy.stats.binomtest(alarms, trials, alternative="less").proportion_ci(
