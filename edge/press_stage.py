@@ -78,6 +78,10 @@ class Selection(Protocol):
         """The part and position inspected now."""
 
     @property
+    def selected(self) -> PartPosition:
+        """What is inspected now, or will be once nothing presses the gel."""
+
+    @property
     def inspector(self) -> Inspector:
         """The bundle that judges presses now."""
 

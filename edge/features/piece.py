@@ -178,6 +178,9 @@ class Pieces(PressStage):
         self._settle()
         if press.label is None:
             self._choose()
+            place = press.piece.place if press.piece else None
+            if self._order == "free" and place is not None and place != self._selection.selected:
+                self._wanted = None  # somebody has selected another place since it was pressed
             self._select()
 
     def turn(self, mounted: Mounted | None) -> None:

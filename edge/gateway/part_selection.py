@@ -128,6 +128,11 @@ class PartSelection:
         return self._in_use.part
 
     @property
+    def selected(self) -> PartPosition:
+        """What is inspected, or will be once nothing presses the gel."""
+        return self._wanted
+
+    @property
     def path(self) -> Path:
         return self._in_use.path
 
