@@ -48,7 +48,6 @@ from edge.press_stage import PressStage, StageParts
 from edge.store.backup import migrate
 from edge.store.bundles_in_use import read_selected, read_takeover
 from edge.store.database import SCHEMA_VERSION
-from edge.store.history import HistoryQuery, read_history
 from edge.store.outbox import Bounds
 from edge.store.press_store import Store
 
@@ -242,7 +241,9 @@ def _sink_context(
 
 
 def _list_earlier(database: Path, most: int) -> list[dict[str, Any]]:
-    """Return what the history has of the newest results."""
+    """Return what the history has of the newest results; only the page asks."""
+    from edge.store.history import HistoryQuery, read_history
+
     found = []
     try:
         for row in read_history(database, HistoryQuery(newest=most)):
