@@ -91,7 +91,7 @@ _FIRST_S: Final = 15.0
 
 @final
 class LongContact:
-    """Follows the contacts of one sensor, by the frames' own times."""
+    """Follows the contacts of one sensor, by the frames' own times, as long as they are seen."""
 
     def __init__(self) -> None:
         self._lengths_s: deque[float] = deque(maxlen=_CONTACTS_KEPT)
@@ -100,6 +100,11 @@ class LongContact:
     def begin(self, timestamp_ns: int) -> None:
         """A press began."""
         self._began_ns = timestamp_ns
+
+    def leave_out(self, seconds: float, until_ns: int) -> None:
+        """Nothing was seen for so long until then: that time is no part of the contact."""
+        if self._began_ns is not None and seconds > BLIND_AFTER_S:
+            self._began_ns = min(self._began_ns + round(seconds * 1e9), until_ns)
 
     def end(self, timestamp_ns: int) -> None:
         """The gel is free again."""

@@ -27,3 +27,23 @@ def test_alarm_at_four_times_the_usual_length_fault_at_eight(lengths_s: list[flo
     ]
     contact.end(now + S)
     assert contact.look(now + 1000 * S) == (None, False)
+
+
+def test_a_time_in_which_nothing_was_seen_is_no_part_of_it() -> None:
+    """A part that was lifted while the sensor was unplugged has not pressed the gel since."""
+    contact = LongContact()
+    contact.leave_out(100.0, 0)
+    contact.begin(0)
+    contact.leave_out(20.0, 21 * S)
+    assert [contact.look(at * S)[0] is None for at in (21, 34, 36)] == [True, True, False]
+    contact.begin(50 * S)
+    contact.leave_out(20.0, 50 * S)  # it was over when the press began
+    assert [contact.look(at * S)[0] is None for at in (64, 66)] == [True, False]
+
+
+def test_a_sensor_that_shows_little_does_not_hide_it() -> None:
+    contact = LongContact()
+    contact.begin(0)
+    for second in range(1, 16):
+        contact.leave_out(1.0, second * S)
+    assert contact.look(16 * S)[0] is not None

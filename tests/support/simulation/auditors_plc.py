@@ -25,16 +25,17 @@ def audit_plcs(world: World, station: Station) -> Iterator[str]:
     is_halted = state != "ready" and not station.is_held_up
     halted_ns = station.so_since(f"a PLC waits for a ready station {world.new_gel_ns}", is_halted) or now_ns
     asked = {number: one for plc in world.plcs for number, one in plc.asked.items()}
+    news = [(shown.at_ns, plc.ip, shown) for plc in world.plcs for shown in plc.shown]
     for plc in world.plcs:
-        news, plc.shown = plc.shown, []
-        for shown in news:
-            said = f"PLC {plc.ip} at {shown.at_ns / S:.3f} s, trigger {shown.trigger_id}"
-            own = asked.get(shown.trigger_id)
-            yield from (f"{said}: {what}" for what in _audit_bits(shown, own))
-            if own is not None:
-                yield from (f"{said}: {what}" for what in _audit_trigger(shown, own))
-            if shown.has("pass") and shown.at_ns - halted_ns > HALTED_S * S:
-                yield f"{said}: the station is {state}, and a pass is shown"
+        plc.shown = []
+    for at_ns, ip, shown in sorted(news, key=lambda one: one[0]):
+        said = f"PLC {ip} at {at_ns / S:.3f} s, trigger {shown.trigger_id}"
+        own = asked.get(shown.trigger_id)
+        yield from (f"{said}: {what}" for what in _audit_bits(shown, own))
+        if own is not None:
+            yield from (f"{said}: {what}" for what in _audit_trigger(shown, own))
+        if shown.has("pass") and at_ns - halted_ns > HALTED_S * S:
+            yield f"{said}: the station is {state}, and a pass is shown"
 
 
 def _audit_bits(shown: Shown, own: Asked | None) -> Iterator[str]:

@@ -105,8 +105,8 @@ class Station:
         """Messages were dropped from a full outbox, and nobody has acknowledged it."""
         self.waiting: dict[int, tuple[str, str]] = {}
         """Rows of the outbox as last looked at: what each is (`picture`, `pass`, `fail`), and its press."""
-        self.filled: dict[str, dict[str, str]] = {}
-        """What was pressed of each piece, as the database that is there knows it."""
+        self.filled: dict[str, dict[str, tuple[str, str]]] = {}
+        """The word and the press of each place of a piece, as the database that is there knows it."""
         self.has_lost_pieces = False
         """A database was removed, so an id may be used again."""
         self._asked = 0
@@ -246,6 +246,11 @@ class Station:
         hear_audits(None)
         shutil.rmtree(self.disk.folder)
         copy.rename(self.disk.folder)
+        known = {press_id for press_id, *_ in self.rows()} if self.filled else set()
+        self.filled = {
+            piece: {place: one for place, one in places.items() if one[1] in known}
+            for piece, places in self.filled.items()
+        }
         if self.disk.unsynced is not None:
             self.disk.unsynced.start_again()
         hear_audits(self.disk)
@@ -341,10 +346,11 @@ class Station:
             return word
         filled = self.filled.setdefault(piece, {})
         if place is not None and word in ("pass", "fail"):
-            filled.setdefault(place, word)
+            filled.setdefault(place, (word, report.press.press_id))
         if word != "pass":
             return word
-        return "fail" if "fail" in filled.values() else "pass" if len(filled) == len(PARTS) else ""
+        is_failed = any(word == "fail" for word, _ in filled.values())
+        return "fail" if is_failed else "pass" if len(filled) == len(PARTS) else ""
 
 
 class Witness(PressStage):
