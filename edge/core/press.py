@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import asdict, dataclass, field, replace
 from typing import ClassVar, Final, Self
 
@@ -171,6 +171,8 @@ class Press:
     """What a bundle that decides nothing says of it; None without one."""
     piece: PlacePress | None = None
     """What it means for a piece of several places; None without a plan, and for a press of no piece."""
+    asked_piece: str = ""
+    """The piece that a PLC names with the trigger which it answers; empty for none."""
     press_id: str = ""
     """Its ULID, given when it is judged."""
     time_ns: int = 0
@@ -181,6 +183,14 @@ class Press:
     """Measures its deviations in mm, which takes long; None where they cannot be measured."""
     evidence: bytes | None = None
     """SHA-256 of what was kept of it; None where nothing was."""
+
+    @property
+    def piece_names(self) -> tuple[Set[str], ...]:
+        """What names its piece: the plan, a PLC, and the codes on it with the ids in them. Empty where none does."""
+        codes = [] if self.overview is None else [code.text for code in self.overview.codes]
+        ids = () if self.overview is None else self.overview.piece_ids
+        plan = set() if self.piece is None else {self.piece.piece_id}
+        return plan, {self.asked_piece} - {""}, set(codes), set(ids)
 
     @property
     def is_decided(self) -> bool:

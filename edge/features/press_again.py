@@ -2,14 +2,13 @@
 first. The rule is in `edge.core.press_again`."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 
 from edge.core.contact.events import PressSettled
-from edge.core.piece import PlacePress
 from edge.core.ports import Clock
 from edge.core.press import Again, Press
 from edge.core.press_again import (
@@ -44,7 +43,7 @@ class _First:
     score: float
     due_ns: int
     press_id: str
-    piece: PlacePress | None
+    piece_names: tuple[Set[str], ...]
     seen: SeenScores | None
     """Where it shows its score, on the part."""
     blame: Blame | None
@@ -85,17 +84,13 @@ class PressAgain(PressStage):
         """Return it unsure where a second press is asked for, or decided together with the first."""
         if press.label is not None:
             return press  # a master piece and a step of a study are no pieces that wait
-        self.turn(None)
-        if (
-            press.piece
-            and self._first
-            and self._first.piece
-            and press.piece.piece_id != self._first.piece.piece_id
-        ):
-            self.drop(Sentence("another piece is pressed"))
         if self._is_said:
             self._is_said = False
             self._alarms.say("press_again", None)
+        self.turn(None)
+        names = zip(self._first.piece_names, press.piece_names, strict=True) if self._first else ()
+        if any(first and now and not first & now for first, now in names):
+            self.drop(Sentence("another piece is pressed"))
         decided = self._ask(press) if self._first is None else self._decide_second(press, self._first)
         return decided.distrust()
 
@@ -140,7 +135,7 @@ class PressAgain(PressStage):
         if verdict is None or not is_asked(verdict, self._plan.bound) or verdict.score is None:
             return press
         due_ns, seen = self._due_ns(), find_seen(press)
-        self._first = _First(verdict.score, due_ns, press.press_id, press.piece, seen, press.blame)
+        self._first = _First(verdict.score, due_ns, press.press_id, press.piece_names, seen, press.blame)
         reason = Sentence(
             f"the score {verdict.score:.4g} lies up to {self._plan.bound:.4g}, where one more press should pay; "
             "press the same piece again, a little shifted"

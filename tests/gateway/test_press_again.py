@@ -3,6 +3,7 @@
 import json
 import logging
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -15,11 +16,15 @@ from stepped_station import SteppedStation
 
 from edge.cli.run import press_line
 from edge.clock import ManualClock
+from edge.core.handshake import Trigger
+from edge.core.overview.view import Code, OverviewView
 from edge.core.press import Press
 from edge.core.press_again import Costs
+from edge.features.handshake.stage import HandshakeStage
 from edge.features.press_again import PressAgain
 from edge.model.bundle import Bundle
 from edge.store.integrity import check_database
+from plugins.handshakes.modbus import ModbusServer
 
 KNOWN = {
     "sound": [[0.02, 0.05], [0.04, 0.01], [0.05, 0.02], [0.01, 0.04], [0.03, 0.03], [0.02, 0.03]],
@@ -117,6 +122,57 @@ def test_a_press_of_the_next_piece_is_no_second_press(asking: Make) -> None:
     second = station.results[1].press_again
     assert second is not None
     assert second.second_of is None
+
+
+def test_a_press_that_the_plc_names_another_piece_is_no_second_press(
+    asking: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It answers its own trigger by its own score; without a plan of places too."""
+    serve = partial(ModbusServer, "127.0.0.1", 0)
+    monkeypatch.setattr("plugins.handshakes.modbus.Modbus.open", lambda self, options, clock: serve(clock))
+    plc = '[handshake]\nplugin = "modbus"\noptions = { port = 1 }\n'
+    with asking(0, tables=COSTS + plc) as station:
+        port = station.find(HandshakeStage).port
+        for trigger_id, piece in ((1, "P1"), (2, "P2")):
+            station.play_until(lambda: port.read().is_ready)
+            assert port.trigger(Trigger(trigger_id, piece)) is None
+            station.play_presses(trigger_id)
+            port.acknowledge()
+        said = station.alarm("press_again")
+
+    assert station.verdicts == ["unsure", "pass"]
+    assert station.results[1].press_again is None
+    assert "is not waited for any more: another piece is pressed" in str(said)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "is_second"),
+    [
+        (("A",), ("A",), True),
+        (("A",), ("B",), False),
+        (("bolt", "A"), ("bolt", "B"), False),
+        (("A",), (), True),
+        ((), (), True),
+    ],
+)
+def test_codes_of_another_piece_end_the_wait(
+    again_bundle: Path, first: tuple[str, ...], second: tuple[str, ...], is_second: bool
+) -> None:
+    """The last code has the id of the piece. One that could not be read says nothing."""
+    bundle = Bundle.load(again_bundle)
+    costs = Costs(missed=1, false_alarm=1000, press=1, defect_rate=0.01)
+    again, inspector = PressAgain(costs, 30.0, ManualClock(), Mock()), SimpleNamespace(bundle=bundle)
+    again.use(inspector)  # type: ignore[arg-type]
+
+    def press(texts: tuple[str, ...]) -> Press:
+        codes = tuple(Code("qr", text) for text in texts)
+        seen = OverviewView(b"", None, codes=codes, piece_ids=texts[-1:])
+        return again.judge(Press(bundle.manifest.decide(0.2), overview=seen), None, inspector)  # type: ignore[arg-type]
+
+    press(first)
+    now = press(second).again
+    assert now is not None
+    assert (now.second_of is not None) == is_second
 
 
 def test_a_press_that_does_not_come_in_time_is_said(asking: Make) -> None:

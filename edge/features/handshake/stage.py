@@ -6,6 +6,7 @@ answers a trigger.
 
 import logging
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any, Self, final
 
@@ -157,11 +158,14 @@ class HandshakeStage(PressStage):
         return label
 
     def admit(self, press: Press) -> Press:
-        """Return it rejected where it answers a trigger for another part: it would count for a place of the piece at
-        which the part does not lie."""
+        """Return it with the piece that its trigger names, and rejected where it answers a trigger for another part: it
+        would count for a place of the piece at which the part does not lie."""
+        if press.label is not None:
+            return press
         selected = self._parts.selection.part
         with self.port.machine() as (machine, now_ns):
-            part = machine.find_asked_part(now_ns) if press.label is None else None
+            part, piece = machine.find_asked(now_ns)
+        press = replace(press, asked_piece=piece)
         if part in (None, str(selected)):
             return press
         reason = Sentence(f"the PLC asks for {part}, and {selected} is selected; see `gelgate station acts`")
