@@ -30,6 +30,7 @@ from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.press_stage import Alarms, Mounted, PressStage, StageParts
 from edge.store.gel_ledger import GelRecord
+from edge.store.pieces import read_asked
 
 __all__ = ["PressAgain", "find_seen"]
 
@@ -64,7 +65,11 @@ class PressAgain(PressStage):
     def open(cls, parts: StageParts) -> Self:
         table = parts.config.press_again
         costs = Costs(table.missed_defect, table.false_alarm, table.press, table.defect_rate)
-        return cls(costs, table.within_s, parts.clock, parts.alarms)
+        stage = cls(costs, table.within_s, parts.clock, parts.alarms)
+        if (press_id := parts.store.read("looking for a press that waits", read_asked)) is not None:
+            why = Sentence("the station was restarted")
+            stage._say_missed(press_id, Sentence(f"is not waited for any more: {why}"))
+        return stage
 
     def mount(self, gel: GelRecord) -> None:
         """Wait for no second press on another gel."""
@@ -120,11 +125,14 @@ class PressAgain(PressStage):
 
     def _missed(self, what: str) -> None:
         first, self._first = self._first, None
+        self._say_missed(first.press_id if first else "", what)
+
+    def _say_missed(self, press_id: str, what: str) -> None:
         self._is_said = True
         self._alarms.say(
             "press_again",
             Sentence(
-                f"the second press after press {first.press_id if first else ''} {what}; its verdict stays unsure: "
+                f"the second press after press {press_id} {what}; its verdict stays unsure: "
                 "treat the piece as not inspected, or press it twice again"
             ),
             "warning",

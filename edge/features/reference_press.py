@@ -55,6 +55,8 @@ class _Armed:
 
     label: ReferenceLabel
     until_ns: int
+    is_void: bool = False
+    """Part, bundle, gel or sensor has changed since it was asked for."""
 
 
 class ReferenceGuard(PressStage):
@@ -67,6 +69,9 @@ class ReferenceGuard(PressStage):
         self._clock = clock
         self._mounted: Mounted | None = None
         self._armed: _Armed | None = None
+        self._void: Sentence | None = (
+            None  # why the press that has begun is neither that of a master piece nor a part's
+        )
         self._presses: dict[str, list[ReferencePress]] = {}
         self._faults: tuple[str, ...] = ()
         self._next_look_ns = 0
@@ -122,7 +127,8 @@ class ReferenceGuard(PressStage):
             before is None or replace(mounted, has_contact=before.has_contact) != before
         )
         if has_changed:
-            self._armed = None
+            if self._armed is not None:
+                self._armed = replace(self._armed, is_void=True)
             self._read()
         if not has_changed and now_ns < self._next_look_ns:
             return
@@ -135,12 +141,15 @@ class ReferenceGuard(PressStage):
 
     def begin(self, label: PressLabel | None) -> PressLabel | None:
         armed, self._armed = self._armed, None
-        return label if armed is None else armed.label
+        self._void = None if armed is None else _say_void(armed)
+        return label if armed is None or armed.is_void else armed.label
 
     def admit(self, press: Press) -> Press:
-        if press.label is not None or self._table.enforce != "refuse" or not self._faults:
+        is_refusing = self._table.enforce == "refuse" and bool(self._faults)
+        why = self._void or (Sentence("; ".join(self._faults)) if is_refusing else None)
+        if press.label is not None or why is None:
             return press
-        return press.reject(Rejection(Reason.REFERENCE, Sentence("; ".join(self._faults))))
+        return press.reject(Rejection(Reason.REFERENCE, why))
 
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
         if settled is None or not isinstance(press.label, ReferenceLabel):
@@ -277,7 +286,7 @@ class ReferenceGuard(PressStage):
             wait = Sentence(
                 f"the next press is the reference press of {piece}: press it within {within_s:g} s"
             )
-            said.insert(0, wait)
+            said.insert(0, _say_void(self._armed) or wait)
         text = Sentence("; ".join(said))
         if self._said == (is_refusing, text):
             return
@@ -288,6 +297,15 @@ class ReferenceGuard(PressStage):
             return
         self._alarms.clear_fault("reference")
         self._alarms.say("reference", text or None, "warning")
+
+
+def _say_void(armed: _Armed) -> Sentence | None:
+    piece = armed.label.piece
+    text = Sentence(
+        f"part, bundle, gel or sensor changed before the reference press of {piece} came: the next press is rejected; "
+        "ask for it again"
+    )
+    return text if armed.is_void else None
 
 
 class _PublishedTable(PieceTable):

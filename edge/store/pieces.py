@@ -21,6 +21,7 @@ __all__ = [
     "count_ended",
     "end",
     "is_recorded",
+    "read_asked",
     "read_last",
     "read_verdict",
 ]
@@ -95,3 +96,15 @@ def read_verdict(connection: sqlite3.Connection, piece_id: str) -> tuple[str | N
     query = "SELECT verdict FROM pieces WHERE piece_id = ?"
     row: tuple[str | None] | None = connection.execute(query, (piece_id,)).fetchone()
     return row
+
+
+def read_asked(connection: sqlite3.Connection) -> str | None:
+    """Return the id of the press for which the newest one of the history has asked for a second; None for none."""
+    row = connection.execute(
+        "SELECT press_id, second_of, verdict = 'unsure' AND score > threshold, score IS NULL FROM presses "
+        "ORDER BY number DESC LIMIT 1"
+    ).fetchone()
+    press_id, second_of, is_above, has_no_score = row or ("", None, False, False)
+    if second_of is not None:
+        return str(second_of) if has_no_score else None
+    return str(press_id) if is_above else None

@@ -192,6 +192,20 @@ def test_a_press_that_does_not_come_in_time_is_said(asking: Make) -> None:
     assert station.raised == []
 
 
+def test_a_restart_ends_the_wait_and_says_so_until_the_next_press(tmp_path: Path, asking: Make) -> None:
+    with asking(0) as station:
+        station.play_presses(1)
+    with SteppedStation(tmp_path / "gelgate.toml") as restarted:
+        said = restarted.alarm("press_again")
+        restarted.play_presses(2)  # the recording again
+        raised = restarted.raised
+    with SteppedStation(tmp_path / "gelgate.toml") as again:
+        assert again.alarm("press_again") is None
+
+    assert f"after press {station.results[0].press_id} is not waited for any more: the station" in str(said)
+    assert raised == []
+
+
 def test_a_bundle_without_such_scores_never_asks_and_says_why(
     asking: Make, bundle: Path, again_bundle: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -182,6 +182,24 @@ def test_a_new_gel_is_due_at_once(config: Callable[..., Path]) -> None:
     assert limits["x_mm"] is not None
 
 
+def test_a_reference_press_on_what_it_was_not_asked_for_is_no_part(config: Callable[..., Path]) -> None:
+    """The gel changes before it comes: it is rejected, and the press after it is a part's."""
+    with SteppedStation(config("off")) as station:
+        start(station)
+        ask(station)
+        station.ask("replace_gel", gel_id="second")
+        station.turn()
+        said = str(station.alarm("reference"))
+        station.play_presses(2)
+        station.clock.sleep(60)
+        station.turn()
+
+    assert "changed before the reference press of M1 came: the next press is rejected" in said
+    assert station.verdicts == ["rejected", "pass"]
+    assert str(station.results[0].reason).startswith("reference: part, bundle, gel or sensor changed")
+    assert station.alarm("reference") is None
+
+
 def test_what_was_learnt_is_there_after_a_restart(config: Callable[..., Path]) -> None:
     """Limits and the last press: nothing is due, and the next press is compared."""
     path = config("refuse")

@@ -74,8 +74,6 @@ def gap(track: Track) -> tuple[Track, tuple[Event, ...]]:
 def trigger(track: Track) -> tuple[Track, tuple[Event, ...]]:
     """A verdict is requested now: the first still frame from here on is scored, if something presses."""
     if track.state is State.APPROACH or track.state in UNJUDGED:
-        if track.is_wanted:
-            return track, ()
         return replace(track, is_wanted=True, wanted_ns=(track.last_ns or 0) + 1), ()
     if track.state in PRESSED:
         return track, (TriggerRepeated(track.state),)

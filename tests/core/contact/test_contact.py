@@ -291,6 +291,14 @@ def test_external_presses_wait_for_their_trigger() -> None:
     assert trigger(track)[1] == (TriggerRepeated(State.CONTACT),)
 
 
+def test_the_newest_trigger_says_from_when_on_a_frame_is_scored() -> None:
+    """Of one that was given up, and of one by a pedal, a PLC would get an older picture than its own trigger."""
+    track, _ = run(free(), at(40, [PRESSED] * 2), EXTERNAL)
+    track, _ = run(trigger(track)[0], at(120, [PRESSED] * 2), EXTERNAL)
+    _, events = run(trigger(track)[0], at(200, [PRESSED] * 10), EXTERNAL)
+    assert [event.sequence >= 200 for event in events if isinstance(event, PressSettled)] == [True]
+
+
 def test_external_press_without_a_trigger_is_counted_but_not_scored() -> None:
     _, events = run(free(), at(40, [PRESSED] * 200 + [FREE] * 5), EXTERNAL)
     assert story(events) == "PressBegan PressNotSettled:NOT_TRIGGERED PressEnded"
