@@ -1,6 +1,6 @@
 """`gelgate bundle learn`: a bundle, its nominal presses and what people said at the station in, a new bundle out."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,9 @@ from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
 from edge.core.printable import write_count
 
 if TYPE_CHECKING:
-    from calibration.fitting.learn import Comparison, ConfirmedPresses
+    from calibration.fitting.fit import Fitted
+    from calibration.fitting.fit_config import FitConfig
+    from calibration.fitting.learn import Comparison, ConfirmedPress, ConfirmedPresses
     from calibration.fitting.presses.nominal_presses import NominalPresses
     from edge.core.errors import FitError
     from edge.core.part_position import PartPosition
@@ -50,8 +52,8 @@ def learn(given: LearnArguments) -> None:
     """Learn from what people said at the station.
 
     Presses that people call good are learnt beside the nominal ones, with the detector and the backbone of the bundle.
-    Drawn regions stay. The new bundle is not written where it passes a press that people call damaged and that was
-    found before, or fails more good ones. Try it as a shadow (docs/operations.md).
+    Drawn regions stay. Damage that was found before and that the new bundle passes is taught, as by `teach`. It is not
+    written where that costs too much, or where it fails more good presses. Try it as a shadow (docs/operations.md).
     """
     import tempfile
 
@@ -94,6 +96,10 @@ def learn(given: LearnArguments) -> None:
         fitted = draw_again(old, fitted, presses, config, created)
         comparison = compare(old, fitted.bundle(), confirmed, database, given.threads)
         typer.echo(f"{comparison.describe()}; {comparison.changes()}")
+        if (taught := _teach_lost(fitted, comparison, presses, config, created)) is not None:
+            fitted = taught
+            comparison = compare(old, fitted.bundle(), confirmed, database, given.threads)
+            typer.echo(f"{comparison.describe()}; {comparison.changes()}")
         _warn_of_fewer_found(old.manifest.facts, fitted.manifest.facts)
         try:
             comparison.check()
@@ -105,24 +111,61 @@ def learn(given: LearnArguments) -> None:
     make(fit_and_check, given.output, given.overwrite)
 
 
-def _name_alike(old: "Bundle", comparison: "Comparison", good: "NominalPresses", threads: int) -> list[str]:
-    """Say of each lost damage which of the learnt presses resembles it most: one of the two words may be wrong."""
+def _teach_lost(
+    fitted: "Fitted",
+    comparison: "Comparison",
+    presses: "NominalPresses",
+    config: "FitConfig",
+    created: str,
+) -> "Fitted | None":
+    """Teach the new bundle the damage that it loses, at its places; None where it loses none, and where that cannot be
+    or costs too much, which is said."""
+    from calibration.fitting.teach import BEARABLE, Lesson, lower_place
+    from edge.core.errors import FitError
+
+    if not comparison.lost:
+        return None
+    new = fitted.bundle()
+    try:
+        lesson = Lesson(new, _read_pictures(comparison.lost, new), presses, config, created)
+        remedy = lower_place(lesson) if lesson.missed else "place: the new bundle finds it in the picture"
+    except FitError as error:
+        remedy = f"place: {error}"
+    if isinstance(remedy, str):
+        typer.echo(f"what the new bundle loses is not taught: {remedy}")
+        return None
+    is_bearable = remedy.rate <= BEARABLE and all(remedy.is_found)
+    typer.echo(
+        f"what the new bundle loses {'is taught' if is_bearable else 'costs too much'}: {remedy.describe()}"
+    )
+    return remedy.fitted if is_bearable else None
+
+
+def _read_pictures(presses: "Sequence[ConfirmedPress]", bundle: "Bundle") -> "NominalPresses":
+    """Read archived presses as pictures of the region, with their ids for names."""
     import tempfile
 
-    from calibration.fitting.learn import MOST_NAMED, write_picture
+    from calibration.fitting.learn import write_picture
     from calibration.fitting.presses.nominal_presses import read_presses
+
+    with tempfile.TemporaryDirectory() as folder:
+        files = [write_picture(one.press, one.frame, Path(folder)) for one in presses]
+        return _with_stems(read_presses(files, bundle.profile, bundle.region))
+
+
+def _with_stems(presses: "NominalPresses") -> "NominalPresses":
+    return replace(presses, names=tuple(Path(name).stem for name in presses.names))
+
+
+def _name_alike(old: "Bundle", comparison: "Comparison", good: "NominalPresses", threads: int) -> list[str]:
+    """Say of each lost damage which of the learnt presses resembles it most: one of the two words may be wrong."""
+    from calibration.fitting.learn import MOST_NAMED
     from calibration.fitting.teach import name_alike
 
     lost = comparison.lost[:MOST_NAMED]
     if not lost or not len(good):
         return []
-    with tempfile.TemporaryDirectory() as folder:
-        files = [write_picture(one.press, one.frame, Path(folder)) for one in lost]
-        damaged = read_presses(files, old.profile, old.region)
-    damaged, good = (
-        replace(some, names=tuple(Path(name).stem for name in some.names)) for some in (damaged, good)
-    )
-    return name_alike(old, damaged, good, threads)
+    return name_alike(old, _read_pictures(lost, old), _with_stems(good), threads)
 
 
 def _ask_again(error: "FitError", comparison: "Comparison", database: Path) -> "FitError":

@@ -17,6 +17,7 @@ from sql import execute
 from station import station_config, variant
 from stepped_station import SteppedStation
 
+from calibration.fitting.fit import Fitted, fit_files
 from calibration.fitting.fit_again import configure_again
 from calibration.fitting.learn import Comparison, ConfirmedPress, ConfirmedPresses, write_picture
 from calibration.fitting.learn_command import _warn_of_fewer_found
@@ -128,6 +129,33 @@ def test_a_bundle_that_loses_a_known_damage_is_not_written(station: Judged) -> N
     assert f"the station asks once more what {ids[4]} is" in done.sentence()
     assert not (station.new).exists()
     assert "asks once more" not in learn(station).sentence()  # once ever
+
+
+def test_a_damage_that_the_new_limit_passes_is_taught_at_its_place(
+    station: Judged, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The learnt presses raise the limit for all places, and show little where the damage is."""
+
+    ((highest,),) = execute(station.database, "SELECT max(score) FROM presses")
+
+    def fit_loosely(*given: Any, **named: Any) -> Fitted:
+        fitted = fit_files(*given, **named)
+        loose = fitted.manifest.threshold.model_copy(update={"value": 2 * highest})
+        return dataclasses.replace(fitted, manifest=fitted.manifest.model_copy(update={"threshold": loose}))
+
+    for module in ("fit", "teach"):
+        monkeypatch.setattr(f"calibration.fitting.{module}.fit_files", fit_loosely)
+    station.say({0: "good", 2: "damaged", 4: "damaged"})
+
+    done = learn(station)
+
+    assert done.code == 0, done.err
+    assert "2 do not pass the old bundle and 0 do not pass the new one" in done.out
+    assert "what the new bundle loses is taught: place: the limit divided by 1.3" in done.out
+    assert "2 do not pass the old bundle and 2 do not pass the new one" in done.out
+    assert sorted(Bundle.load(station.new).manifest.facts["taught"][0]["presses"]) == sorted(
+        station.ids[number] for number in (2, 4)
+    )
 
 
 def test_a_damage_that_somebody_else_calls_good_does_not_change_unsaid(station: Judged) -> None:
