@@ -194,15 +194,17 @@ class PartSelection:
                 self._take(staged)
             else:  # opened for bundles that have changed places meanwhile
                 self.reload()
-        while self._unrecorded:
-            self._store.begin_act(self._unrecorded[0], within_s=0)
-            self._unrecorded.popleft()
-        if not is_pressed and (self.is_waiting or not self._is_recorded):
-            self._change()
-        elif not is_pressed and self.golden.step():
-            self._report_golden()
-        if self.inspector is not inspector or self.bundles is not bundles:
-            self.on_change()
+        try:
+            while self._unrecorded:
+                self._store.begin_act(self._unrecorded[0], within_s=0)
+                self._unrecorded.popleft()
+            if not is_pressed and (self.is_waiting or not self._is_recorded):
+                self._change()
+            elif not is_pressed and self.golden.step():
+                self._report_golden()
+        finally:  # new bundles are there, recorded or not
+            if self.inspector is not inspector or self.bundles is not bundles:
+                self.on_change()
 
     def close(self) -> None:
         """End the work in the background; what is being opened is waited for, but not long. May be called again."""

@@ -226,6 +226,20 @@ def test_info_names_parts_that_a_reload_brings(station: SteppedStation, folder: 
     assert info["parts"] == ["PZ0/pos1", "PZ1/pos1", "PZ2/pos1"]
 
 
+def test_info_names_parts_of_a_reload_that_cannot_be_recorded(
+    station: SteppedStation, folder: Path, bundle: Path
+) -> None:
+    """They may be selected already, and no later turn sees that they are new."""
+    station.play(3)
+    variant(bundle, folder / "c", part="PZ2")
+    with station.refusing("acts"):
+        station.reload()
+        assert station.loop.is_halted
+    station.turn(2)
+
+    assert station.said("info")["parts"] == ["PZ0/pos1", "PZ1/pos1", "PZ2/pos1"]
+
+
 def test_an_older_bundle_is_refused_unless_allowed(config: Path, folder: Path, bundle: Path) -> None:
     """At a reload the newer one stays, at a start nothing runs; allowed once, it is the newest."""
     variant(bundle, folder / "a", revision=3)
