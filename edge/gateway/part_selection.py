@@ -175,7 +175,8 @@ class PartSelection:
         try:
             self.step(is_pressed=is_pressed)
         except StoreError:
-            self._wanted, self._why = before, None
+            # A reload may have taken away what waited before.
+            self._wanted, self._why = before if before in self.bundles else self.part, None
             raise
 
     def start(self) -> None:

@@ -387,3 +387,20 @@ def test_a_selection_that_cannot_be_recorded_is_not_made(config: Path) -> None:
         assert station.parts.selection.part == PZ0
     with Store(config.parent / "gelgate.db") as store:
         assert store.read("reading the selected part", read_selected) == PZ0
+
+
+def test_a_selection_that_fails_leads_to_no_part_that_a_reload_has_removed(
+    station: SteppedStation, folder: Path
+) -> None:
+    """PZ1 waited for the end of a press when it was taken away and PZ0 was selected, which cannot be recorded."""
+    selection = station.parts.selection
+    station.play_until(lambda: station.loop.is_pressed)
+    station.ask("select_part", part="PZ1")
+    (folder / "b" / "manifest.json").unlink()
+    selection.reload()
+    selection.worker.step()
+    with station.refusing("acts"), pytest.raises(StoreError, match="no room"):
+        station.ask("select_part", part="PZ0")
+    station.play_presses(1)
+
+    assert (selection.part, selection.selected) == (PZ0, PZ0)
