@@ -107,13 +107,13 @@ class PartSelection:
         self._in_use = bundles[part]
         self._wanted = part
         self._why: Act | None = None
-        self.worker: Background[Opened | GelgateError] = Background("bundles", CLOSE_S)
+        self.worker: Background[tuple[int, Opened | GelgateError]] = Background("bundles", CLOSE_S)
         self._open = open_bundles
         self._store = store
         self._status = status
         self._clock = clock
         self._is_recorded = False
-        self._exchanges = self._seen_exchanges = 0  # made, and made when the present opening began
+        self._exchanges = 0
         self._unrecorded: deque[Act] = deque()
         self.golden = GoldenWatch(clock)
         self.on_change: Callable[[], None] = lambda: None
@@ -190,8 +190,9 @@ class PartSelection:
         """Take one turn: new bundles, change the one in use, score a golden frame. Errors: StoreError, and then the one
         in use has not changed; the next turn tries again."""
         inspector, bundles = self.inspector, self.bundles
-        if (staged := self.worker.take()) is not None:
-            if self._seen_exchanges == self._exchanges:
+        if (outcome := self.worker.take()) is not None:
+            exchanges, staged = outcome
+            if exchanges == self._exchanges:
                 self._take(staged)
             else:  # opened for bundles that have changed places meanwhile
                 self.reload()
@@ -211,16 +212,18 @@ class PartSelection:
         """End the work in the background; what is being opened is waited for, but not long. May be called again."""
         self.worker.close()
 
-    def _open_again(self) -> Opened | GelgateError:
-        """Open what is configured now; the bundles in use that have not changed are kept as they are."""
-        self._seen_exchanges = self._exchanges
+    def _open_again(self) -> tuple[int, Opened | GelgateError]:
+        """Open what is configured now; the bundles in use that have not changed are kept as they are. Return it after
+        the number of exchanges that had been made when it began."""
+        exchanges = self._exchanges
         try:
-            return self._open(self.bundles)
+            return exchanges, self._open(self.bundles)
         except GelgateError as error:
-            return error
+            return exchanges, error
         except Exception as error:  # the loop reports it, and the bundles in use stay
             log.exception("the new bundles could not be opened")
-            return GelgateError(f"the new bundles could not be opened ({error!r:.200}); see the log")
+            why = f"the new bundles could not be opened ({error!r:.200}); see the log"
+            return exchanges, GelgateError(why)
 
     def _change(self) -> None:
         chosen = self.bundles[self._wanted]

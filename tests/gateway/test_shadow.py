@@ -13,12 +13,17 @@ from shadow_station import FIVE, Shadowed, adopt
 from station import Motion, press_recording, variant
 from stepped_station import SteppedStation
 
+from edge.core.part_position import PartPosition
 from edge.core.press import ShadowVerdict
 from edge.features.shadow import Shadow
+from edge.gateway.bundle_set import BundleSet
+from edge.gateway.opening import Opened
 from edge.model.bundle import Bundle
 from edge.store.acts import CONFIRM, Act
 from edge.store.history import HistoryQuery, read_history
 from edge.store.integrity import check_database
+
+PZ0 = PartPosition("PZ0", "pos1")
 
 
 @pytest.fixture(scope="module")
@@ -412,6 +417,30 @@ def test_a_reload_opens_a_shadow_and_keeps_a_takeover(
     new = Bundle.load(shadow).digest
     assert [one.shadow is not None for one in station.results] == [False, True, True]
     assert station.results[2].bundle_id == new
+
+
+def test_bundles_that_were_opened_before_a_takeover_do_not_take_it_back(
+    shadowed: Shadowed, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They wait, and the next reload has begun already when the loop finds them."""
+    inspecting = list[str]()
+    with SteppedStation(shadowed(bundle, shadow)) as station:
+        station.play_presses(1)
+        selection, open_bundles = station.parts.selection, station.parts.selection._open
+
+        def look_meanwhile(in_use: BundleSet) -> Opened:
+            station.turn()
+            inspecting.append(station.bundle_id)
+            return open_bundles(in_use)
+
+        selection.reload()
+        selection.worker.step()
+        selection.exchange(Act(1, "the gateway", "take_over", arguments=PZ0._asdict(), outcome="done"))
+        monkeypatch.setattr(selection, "_open", look_meanwhile)
+        station.reload()
+        inspecting.append(station.bundle_id)
+
+    assert inspecting == [Bundle.load(shadow).digest] * 2
 
 
 def test_a_takeover_that_cannot_be_recorded_is_made_when_it_can(
