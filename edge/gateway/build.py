@@ -95,7 +95,7 @@ def _build(
     handlers = station_handlers(calls, station_commands(config))
     commands = Commands(handlers, policy_of(config), store, clock, config.commands.requests_per_minute)
     by_name: dict[str, PressStage] = {}
-    draw_again = _drawer(config, store, bundles, by_name.values())
+    draw_again = _drawer(config, store, lambda: selection.bundles, by_name.values())
     sinks = _open_sinks(config, _sink_context(config, clock, retained_state, commands, draw_again), closing)
     path, before = config.store.path, _names_before(config)
     publisher = Publisher(path, sinks, retained_state, clock, random.Random(), lock=lock, before=before)
@@ -139,11 +139,12 @@ def _build(
 
 
 def _drawer(
-    config: Config, store: Store, bundles: BundleSet, stages: Iterable[PressStage]
+    config: Config, store: Store, find_bundles: Callable[[], BundleSet], stages: Iterable[PressStage]
 ) -> Callable[[str], PressFiles]:
-    """Return what draws an archived press by its id. stages: as they are when it draws."""
+    """Return what draws an archived press by its id. find_bundles, stages: as they are when it draws."""
 
     def draw_again(press_id: str) -> PressFiles:
+        bundles = find_bundles()
         opened = [one.bundle for one in (*bundles.bundles.values(), *bundles.shadows.values())]
         return draw_archived(press_id, store, opened, config.station.heatmap, list(stages))
 

@@ -193,6 +193,20 @@ def test_a_picture_that_cannot_be_drawn_is_empty(
     assert f"the picture of press {IDS[0]} cannot be drawn: a map that is not finite" in caplog.text
 
 
+def test_a_press_of_a_bundle_that_a_reload_brought_is_drawn_again(
+    config: Path, tmp_path: Path, bundle: Path
+) -> None:
+    """As for the page; what is drawn with is what is open now, and holds nothing of the start."""
+    with SteppedStation(config) as station:
+        draw_again, before = station.parts.pictures._draw_again, station.bundle_id
+        other = variant(bundle, tmp_path / "other", revision=2)
+        config.write_text(config.read_text().replace(str(bundle), str(other)))
+        station.reload()
+        assert station.bundle_id != before
+        station.play_presses(1)
+        assert draw_again(station.results[0].press_id).sheet
+
+
 def test_a_full_disk_delays_the_picture(store: Store, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The result is there; the picture comes with the next one, or at the end."""
     pictures, queue = Pictures(store, lambda: None), store.queue_picture
