@@ -98,7 +98,7 @@ class Pictures:
         self.step()
 
     def _queue_oldest(self) -> bool:
-        """Queue the oldest that is drawn; returns whether the store takes it."""
+        """Queue the oldest that is drawn; returns whether others may follow: not where the store refuses it."""
         press_id, files = self._drawn[0].press_id, self._drawn[0].draw()
         try:
             self._store.queue_picture(
@@ -109,6 +109,8 @@ class Pictures:
         except StoreError as error:
             log.warning("the picture of press %s waits: %s", press_id, error)
             return False
+        except Exception as error:  # it stays owed, and keeps no other one waiting
+            log.exception("the picture of press %s cannot be queued: %s", press_id, error)
         self._drawn.popleft()
         self._wake()
         return True

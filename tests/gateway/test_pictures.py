@@ -221,6 +221,20 @@ def test_a_full_disk_delays_the_picture(store: Store, path: Path, monkeypatch: p
     assert (f"heatmap/{IDS[0]}", files().sheet) in outbox(path)
 
 
+def test_a_picture_that_cannot_be_queued_keeps_no_other_waiting(
+    store: Store, path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Whatever its error, and at the end too. It stays owed: the next start draws it."""
+    pictures = Pictures(store, lambda: None)
+    record(store, pictures, 0, lambda: PressFiles(b"GIF89a"))
+    record(store, pictures, 1)
+    pictures.close()
+
+    assert [topic for topic, _ in outbox(path)] == ["result", "result", f"heatmap/{IDS[1]}"]
+    assert store.owed_pictures() == [IDS[0]]
+    assert f"the picture of press {IDS[0]} cannot be queued: not a PNG and not a JPEG" in caplog.text
+
+
 def test_presses_waiting_for_the_store_hold_no_arrays(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """While the disk is full the presses behind the first are drawn, which takes a fraction of the memory. When there
     is room again, each picture comes."""
