@@ -398,14 +398,19 @@ def test_a_piece_begins_when_the_part_before_is_lifted(
     assert first.piece_id == "P1"
 
 
-def test_a_trigger_that_is_taken_back_begins_no_piece(tmp_path: Path, configure: Make, bundle: Path) -> None:
-    """It waited for the gel to be free."""
+@pytest.mark.parametrize("is_pressed", [False, True], ids=["at once", "while it waits for the free gel"])
+def test_a_trigger_that_is_taken_back_begins_no_piece(
+    tmp_path: Path, configure: Make, bundle: Path, is_pressed: bool
+) -> None:
+    """It would end the one in progress."""
     bundles = two_parts(tmp_path / "bundles", bundle)
     with PlcStation(configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"')) as station:
         station.play_until_ready()
-        station.play_until_pressed()
+        if is_pressed:
+            station.play_until_pressed()
         assert station.trigger(1, piece="P1") is Code.NONE
-        station.turn()
+        if is_pressed:
+            station.turn()
         station.acknowledge()
         station.play_presses(2)
     assert "P1" not in [result.piece_id for result in station.results]

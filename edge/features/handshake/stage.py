@@ -88,7 +88,10 @@ class HandshakeStage(PressStage):
     def _reach(self, trigger: Trigger, part: PartPosition | None) -> None:
         """Begin the piece of several places that a trigger names, unless it is in progress; where something presses,
         once that is lifted. Then select its part, for the plan has selected the piece's first place. Where one of them
-        fails the result is an error."""
+        fails the result is an error. Nothing for one that is not busy any more."""
+        view = self.port.read()
+        if (view.step, view.trigger_id) != ("busy", trigger.trigger_id):
+            return
         is_new = trigger.piece not in ("", self._piece_id) and self._parts.config.piece is not None
         if is_new and self._has_contact and not self._is_command:
             self._early = trigger, part
@@ -196,9 +199,8 @@ class HandshakeStage(PressStage):
     def turn(self, mounted: Mounted | None) -> None:
         self._has_contact = mounted is not None and mounted.has_contact
         if (early := self._early) is not None and not self._has_contact:
-            self._early, view = None, self.port.read()
-            if (view.step, view.trigger_id) == ("busy", early[0].trigger_id):
-                self._reach(*early)
+            self._early = None
+            self._reach(*early)
 
     def show(self, view: StationView) -> None:
         self._piece_id = view.piece_id
