@@ -377,19 +377,21 @@ def test_a_trigger_begins_its_piece(tmp_path: Path, configure: Make, bundle: Pat
     assert "the piece P1 is over (" in str(act.sentence)
 
 
-@pytest.mark.parametrize("is_free_said", [False, True], ids=["while it is pressed", "when `free` is said"])
+@pytest.mark.parametrize("when", ["as it touches", "while it is pressed", "when `free` is said"])
 def test_a_piece_begins_when_the_part_before_is_lifted(
-    tmp_path: Path, configure: Make, bundle: Path, is_free_said: bool
+    tmp_path: Path, configure: Make, bundle: Path, when: str
 ) -> None:
     """A trigger that comes earlier, also one that a PLC gives as soon as it reads that nothing touches the gel, waits
     for that. The press that is held then is of the piece before."""
     bundles = two_parts(tmp_path / "bundles", bundle)
     with PlcStation(configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"')) as station:
         station.play_until_ready()
-        station.play_until_pressed()
-        if is_free_said:
+        station.play_until(lambda: station.seen.station.contact == "touching")
+        if when != "as it touches":
+            station.play_until_pressed()
+        if when == "when `free` is said":
             station.play_until(lambda: station.seen.station.contact == "free")
-        assert station.loop.is_pressed
+        assert station.loop.is_pressed == (when != "as it touches")
         assert station.trigger(1, piece="P1") is Code.NONE
         station.play_until(lambda: station.seen.step == "done")
         assert station.result[:3] in (("done", 1, "place"), ("done", 1, "fail"))

@@ -52,9 +52,10 @@ class HandshakeStage(PressStage):
         self.port = Port(machine, parts.selection, parts.store, parts.clock, self._triggered)
         self._gel_left_percent = 0
         self._has_contact = self._has_time = False
+        self._is_touched = True  # until the gel is seen free
         self._began_ns: int | None = None
         self._piece_id: str | None = None
-        # Its piece begins when what presses now is lifted.
+        # Its piece begins when what touches now is lifted.
         self._early: tuple[Trigger, PartPosition | None] | None = None
         self._answer = ("", 0)
         self._alarm: str | None = None
@@ -86,14 +87,14 @@ class HandshakeStage(PressStage):
             self._parts.trigger()
 
     def _reach(self, trigger: Trigger, part: PartPosition | None) -> None:
-        """Begin the piece of several places that a trigger names, unless it is in progress; where something presses,
+        """Begin the piece of several places that a trigger names, unless it is in progress; where something touches,
         once that is lifted. Then select its part, for the plan has selected the piece's first place. Where one of them
         fails the result is an error. Nothing for one that is not busy any more."""
         view = self.port.read()
         if (view.step, view.trigger_id) != ("busy", trigger.trigger_id):
             return
         is_new = trigger.piece not in ("", self._piece_id) and self._parts.config.piece is not None
-        if is_new and self._has_contact and not self._is_command:
+        if is_new and (self._has_contact or self._is_touched) and not self._is_command:
             self._early = trigger, part
             return
         with self.port.machine() as (machine, _):
@@ -151,8 +152,9 @@ class HandshakeStage(PressStage):
                 pass
 
     def look(self, look: Look) -> None:
+        self._is_touched = look.phase != "free"
         with self.port.machine() as (machine, _):
-            machine.look(look.phase != "free")
+            machine.look(self._is_touched)
 
     def begin(self, label: PressLabel | None) -> PressLabel | None:
         if label is None:
@@ -198,7 +200,7 @@ class HandshakeStage(PressStage):
 
     def turn(self, mounted: Mounted | None) -> None:
         self._has_contact = mounted is not None and mounted.has_contact
-        if (early := self._early) is not None and not self._has_contact:
+        if (early := self._early) is not None and not (self._has_contact or self._is_touched):
             self._early = None
             self._reach(*early)
 
