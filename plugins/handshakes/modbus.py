@@ -15,7 +15,7 @@ import socket
 import struct
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from socketserver import BaseRequestHandler, ThreadingTCPServer
 from typing import Any, Final
 
@@ -53,6 +53,8 @@ _EXCEPTIONS: Final[Mapping[Code, int]] = {
     Code.NO_BEAT: _DEVICE_FAILURE,
 }
 _TRIGGER, _ACKNOWLEDGE, _WATCHDOG = range(len(COILS))
+# Functions that read the state of the station alone: they wait for no refusal that is being recorded.
+_OF_STATION: Final = (2, 4)
 _READ: Final = {1: "coils", 2: "discrete inputs", 3: "holding registers", 4: "input registers"}
 _HOLDING_COUNT: Final = sum(count for count, _ in HOLDING.values())
 
@@ -82,7 +84,7 @@ class _Refused(Exception):
 
 
 class _Registers:
-    """The registers of one station, for all its connections. One thread at a time."""
+    """The registers of one station, for all its connections. What a PLC writes is used by one thread at a time."""
 
     def __init__(self, handshake: Handshake, clock: Clock) -> None:
         self._handshake, self._clock = handshake, clock
@@ -97,7 +99,7 @@ class _Registers:
         """Return the response to one request, both without their header. client: the connection."""
         function = request[0]
         try:
-            with self._lock:
+            with nullcontext() if function in _OF_STATION else self._lock:
                 if client is self._writer:
                     self._heard_ns = self._clock.monotonic_ns()
                 do = self._FUNCTIONS.get(function)
