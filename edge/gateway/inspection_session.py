@@ -136,7 +136,7 @@ class InspectionSession:
             try:
                 yield report
             finally:  # also where a stage cannot take the press
-                self._recorder.follow(recorded, report.gel)
+                self._recorder.follow(recorded, report.gel, self.unrecorded)
         if self._uncounted:
             self.see_gel(self._recorder.count(self._uncounted))
             self._uncounted = 0

@@ -170,12 +170,12 @@ class Recorder:
         )
         return PressReport(press, result or _result(waiting, recorded), recorded.gel, sentences)
 
-    def follow(self, recorded: WaitingPress, gel: GelRecord) -> None:
-        """Have its picture drawn, and write its count into the second record, when its result is on its way. Never
-        raises."""
+    def follow(self, recorded: WaitingPress, gel: GelRecord, unrecorded: int = 0) -> None:
+        """Have its picture drawn, and write its count into the second record, with the number of presses that still
+        wait, when its result is on its way. Never raises."""
         if recorded.drawing is not None:
             self._add_picture(recorded.drawing)
-        self._store.keep_count(gel)
+        self._store.keep_count(gel, unrecorded)
 
     def count(self, presses: int) -> GelRecord:
         """Count presses that have no result. Errors: StoreError."""

@@ -51,9 +51,9 @@ class Count:
     """Its last day of use, YYYY-MM-DD."""
 
     @classmethod
-    def of(cls, gel: gel_ledger.GelRecord, sequence: int) -> Self:
+    def of(cls, gel: gel_ledger.GelRecord, sequence: int, uncounted: int = 0) -> Self:
         """Take the count of a gel."""
-        known = (gel.gel_id, gel.presses, gel.limit_presses, sequence)
+        known = (gel.gel_id, gel.presses, gel.limit_presses, sequence, uncounted)
         return cls(*known, gel_serial=gel.gel_serial, use_by=gel.use_by)
 
 
@@ -168,17 +168,25 @@ def recover(
                 "lost file; unsent results in it are lost"
             )
         )
-    if known.uncounted:
-        gel_ledger.add_presses(connection, serial, time_ns, known.uncounted)
+    # A press that was recorded just before the process died may be in the count, and among those that waited.
+    if (uncounted := known.uncounted - _counted_since(connection, known, serial)) > 0:
+        gel_ledger.add_presses(connection, serial, time_ns, uncounted)
         sentences.append(
             Sentence(
-                f"{known.uncounted} presses of sensor {serial} were made while it refused writes; they are counted on "
+                f"{uncounted} presses of sensor {serial} were made while it refused writes; they are counted on "
                 "the gel now, and their results are lost"
             )
         )
     rows = [(f"database {path}: {sentence}",) for sentence in sentences]
     connection.executemany("INSERT INTO corrected_counts (sentence) VALUES (?)", rows)
     return bool(rows)
+
+
+def _counted_since(connection: sqlite3.Connection, known: Count, serial: str) -> int:
+    """Presses of that gel that the ledger has counted since the second record was written."""
+    query = "SELECT max(0, presses - ?) FROM gels WHERE serial = ? AND gel_id = ?"
+    row = connection.execute(query, (known.presses, serial, known.gel_id)).fetchone()
+    return int(row[0]) if row else 0
 
 
 def _continue_numbers(connection: sqlite3.Connection, sequence: int) -> None:

@@ -38,6 +38,8 @@ __all__ = [
     "Store",
 ]
 
+T = TypeVar("T")
+
 
 @dataclass(frozen=True)
 class PressRecord:
@@ -112,9 +114,6 @@ def cut_history(connection: sqlite3.Connection) -> None:
         return
     connection.execute("DELETE FROM presses WHERE number <= ?", (last - KEPT_PRESSES,))
     ledger_chain.cut(connection, last - KEPT_PRESSES)
-
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -295,9 +294,9 @@ class Store:
         self.keep_count(gel)
         return gel
 
-    def keep_count(self, gel: GelRecord) -> None:
-        """Write its count into the second record. gel: of the last change. Never raises."""
-        self._counts.write(gel.serial, Count.of(gel, self._newest))
+    def keep_count(self, gel: GelRecord, uncounted: int = 0) -> None:
+        """Write its count into the second record. gel: of the last change. uncounted: still waiting. Never raises."""
+        self._counts.write(gel.serial, Count.of(gel, self._newest, uncounted))
 
     def note_uncounted(self, serial: str, presses: int) -> None:
         """Presses of this sensor that are made while the database refuses writes. They are counted when it accepts

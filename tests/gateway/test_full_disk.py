@@ -2,10 +2,15 @@
 
 from pathlib import Path
 
+import pytest
 from full_disk import room_for
 from stepped_station import SteppedStation
 
 from edge.store.press_store import Store
+
+
+class Killed(BaseException):
+    """The process ends here."""
 
 
 def test_a_full_disk_halts_the_station_and_loses_no_press(station: SteppedStation, tmp_path: Path) -> None:
@@ -28,3 +33,30 @@ def test_a_full_disk_halts_the_station_and_loses_no_press(station: SteppedStatio
     assert station.said("state")["state"] == "ready"
     with Store(tmp_path / "gelgate.db") as store:
         assert [gel.presses for gel in store.gels()] == [3]
+
+
+@pytest.mark.parametrize("is_written", [False, True])
+def test_presses_that_wait_are_counted_when_it_is_killed_while_they_are_written(
+    config: Path, *, is_written: bool
+) -> None:
+    """Killed just before or after the second record of the second of three presses: the gel has felt all three."""
+    keep, kept = Store.keep_count, list[object]()
+
+    def keep_and_die(*given: object) -> None:
+        kept.append(given)
+        if is_written or len(kept) == 1:
+            keep(*given)
+        if len(kept) == 2:
+            raise Killed
+
+    with pytest.MonkeyPatch.context() as patched, SteppedStation(config) as station:
+        station.play_until(lambda: station.loop.session is not None)
+        with station.refusing("presses"):
+            station.play_until(lambda: station.loop.session.unrecorded == 3)
+        patched.setattr(Store, "keep_count", keep_and_die)
+        with pytest.raises(Killed):
+            station.turn()
+    with SteppedStation(config) as again:
+        again.play_until(lambda: again.loop.session is not None)
+        assert again.loop.session.gel.presses == 3
+        assert "1 presses of sensor TEST0001 were made while it refused writes" in str(again.alarm("counts"))

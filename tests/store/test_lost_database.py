@@ -159,6 +159,18 @@ def test_presses_that_a_database_refused_are_counted_at_the_next_start(path: Pat
         assert len(store.findings()) == 1, "said until a person acknowledges it"
 
 
+def test_a_press_recorded_just_before_the_process_died_is_not_counted_again(path: Path) -> None:
+    """It was one of three that waited, and the second record still says so."""
+    with Store(path) as store:
+        count(store, make_press(1))
+        store.note_uncounted(SERIAL, 3)
+        store.record_press(make_press(2), lambda recorded: [], owes_count=True)
+
+    with Store(path) as store:
+        assert store.gel(SERIAL, 7).presses == 1 + 3
+        assert "2 presses of sensor 2BNN4ZE7 were made while it refused writes" in store.findings()[0]
+
+
 def test_an_earlier_count_that_waits_does_not_replace_one_that_was_corrected(path: Path) -> None:
     """The gel is said anew at the start; what an earlier life left in the outbox would be retained over it."""
     old = Message("gel", b'{"presses": 1}', retain=True)
