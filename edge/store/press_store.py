@@ -109,7 +109,8 @@ def find_number(connection: sqlite3.Connection, table: str, press: PressRecord) 
 
 def cut_history(connection: sqlite3.Connection) -> None:
     """Keep the newest presses, and up to a thousandth more, so that they go in groups."""
-    first, last = connection.execute("SELECT min(number), max(number) FROM presses").fetchone()
+    ends = (f"SELECT {end}(number) FROM presses" for end in ("min", "max"))  # one query would read every row
+    first, last = (connection.execute(end).fetchone()[0] for end in ends)
     if first is None or last - first < KEPT_PRESSES + KEPT_PRESSES // 1000:
         return
     connection.execute("DELETE FROM presses WHERE number <= ?", (last - KEPT_PRESSES,))

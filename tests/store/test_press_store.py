@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from full_disk import room_for
 from recorded_presses import make_press, messages_of, record
-from sql import execute
+from sql import add_presses, count_steps, execute
 
 from edge.core.errors import StoreError
 from edge.core.gel_life import GelState
@@ -43,6 +43,15 @@ def test_a_press_is_counted_and_its_messages_wait(store: Store, path: Path) -> N
     results = [message for message in messages if message.topic == "result"]
     assert [b'"gel_presses":%d,' % n in message.payload for n, message in enumerate(results, 1)] == [True] * 3
     assert messages[1].topic == f"heatmap/{make_press(1).press_id}"
+
+
+def test_a_press_reads_nothing_of_a_long_history(store: Store, path: Path) -> None:
+    """It holds up the loop, and so the frames that come meanwhile."""
+    record(store, make_press(0))
+    add_presses(path, 5000)
+    with count_steps() as steps, Store(path) as again:
+        record(again, make_press(1))
+    assert len(steps) < 50
 
 
 RETAINED = ["last", "last/press", "gel"]
