@@ -73,23 +73,26 @@ def begin(connection: sqlite3.Connection, act: Act, running_ns: int) -> int:
     number = insert(connection, "acts", row)
     if act.outcome != "refused":
         ledger_chain.append(connection, "act", number)
-    _remove_old(connection, "outcome = 'refused'", KEPT_REFUSALS)
+    _remove_old(connection, number, "outcome = 'refused'", KEPT_REFUSALS)
     done = "outcome IS NOT 'refused' AND verb"
-    removed = [_remove_old(connection, f"{done} {which} '{CONFIRM}'", KEPT_ACTS) for which in ("<>", "=")]
+    kinds = (f"{done} {which} '{CONFIRM}'" for which in ("<>", "="))
+    removed = [_remove_old(connection, number, kind, KEPT_ACTS) for kind in kinds]
     if any(removed):
         ledger_chain.note_removed_acts(connection, max(removed))
     return number
 
 
-def _remove_old(connection: sqlite3.Connection, condition: str, kept: int) -> int:
-    """Keep the newest that fit, and up to a hundredth more, so that they go in groups; return the newest id that was
-    removed, or 0."""
-    oldest = f"SELECT act_id FROM acts WHERE {condition} ORDER BY act_id DESC LIMIT 1 OFFSET ?"
-    if connection.execute(oldest, (kept + kept // 100,)).fetchone() is None:
+def _remove_old(connection: sqlite3.Connection, number: int, condition: str, kept: int) -> int:
+    """Keep the newest that fit, and up to a hundredth more: all are counted at one act in so many, for it takes long.
+    number: of the newest act. Return the newest id that was removed, or 0."""
+    if number % max(1, kept // 100):
         return 0
-    (newest,) = connection.execute(oldest, (kept,)).fetchone()
-    connection.execute(f"DELETE FROM acts WHERE {condition} AND act_id <= ?", (newest,))
-    return int(newest)
+    oldest = f"SELECT act_id FROM acts WHERE {condition} ORDER BY act_id DESC LIMIT 1 OFFSET ?"
+    row = connection.execute(oldest, (kept,)).fetchone()
+    if row is None:
+        return 0
+    connection.execute(f"DELETE FROM acts WHERE {condition} AND act_id <= ?", row)
+    return int(row[0])
 
 
 def finish(

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded_presses import SERIAL, T0, make_press, record
-from sql import execute
+from sql import count_steps, execute
 
 from edge.core.press import StudyLabel
 from edge.core.reference_press.charts import ReferencePress
@@ -267,6 +267,35 @@ def test_acts_that_go_leave_a_sound_chain(used: Path, monkeypatch: pytest.Monkey
     assert ledger(used) == []
     execute(used, f"DELETE FROM acts WHERE act_id = {kept[1]}")
     assert ledger(used)[0].startswith(f"act {kept[1]} was removed")
+
+
+def test_an_act_reads_nothing_of_those_before(used: Path) -> None:
+    """A line that selects a part every few seconds has a hundred thousand of them."""
+    rows = "WITH RECURSIVE n (i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 5000) "
+    acts_of = "INSERT INTO acts (time_ns, running_ns, who, verb, arguments, outcome) "
+    execute(used, f"{acts_of}{rows}SELECT i, i, 'x', 'select_part', '{{}}', 'done' FROM n")
+    with count_steps() as steps, Store(used) as store:
+        store.begin_act(Act(T0, "x", "select_part", request="7"), 60)
+    assert len(steps) < 50
+
+
+def test_never_more_than_a_hundredth_too_many_acts_are_kept(
+    used: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(acts, "KEPT_ACTS", 300)
+    count = "SELECT count(*) FROM acts WHERE verb = 'clock_step'"
+
+    def add(connection: sqlite3.Connection) -> list[int]:
+        numbers = []
+        for n in range(1000):
+            acts.begin(connection, Act(T0 + n, "x", "clock_step", outcome="done"), n)
+            numbers += connection.execute(count).fetchone()
+        return numbers
+
+    with Store(used) as store:
+        numbers = store.write("adding acts", add)
+    assert set(numbers[400:]) == {300, 301, 302}
+    assert ledger(used) == []
 
 
 def test_a_gel_restored_from_the_second_record_is_chained(used: Path) -> None:
