@@ -29,10 +29,10 @@ from edge.store.acts import CONFIRM
 from edge.store.gel_ledger import GelRecord
 from edge.store.gel_proofs import GelBundle, unproven_since, used_since
 from edge.store.person_verdicts import (
+    AskedAgain,
     find_table,
     newest_acts,
     read_askable,
-    read_asked_again,
     read_passed,
     read_verdicts,
 )
@@ -83,6 +83,7 @@ class PersonVerdicts(PressStage):
         self._after = 0
         self._acts = (0, 0)
         self._presses: list[Asked] = []
+        self._asked_again = AskedAgain()
         self._of_other_colours: set[str] = set()
         self._shown: tuple[object, ...] | None = None
         self._broken: str | None = None
@@ -124,7 +125,7 @@ class PersonVerdicts(PressStage):
     def _ask(self, today: date, mounted: Mounted | None) -> None:
         said = self._read_said()
         answered = sum(any(local_day(one.time_ns) == today for one in verdicts) for verdicts in said.values())
-        again = self._store.read("reading what is asked again", read_asked_again)
+        again = self._store.read("reading what is asked again", self._asked_again.read)
         most = max(0, self._per_day - answered)
         again, known = again[:most], {one.press_id for one in again} | said.keys()
         new_gel_ns = None if mounted is None else self._find_new_gel(mounted)

@@ -14,12 +14,12 @@ from edge.store.acts import ASK_AGAIN, CONFIRM, Act
 from edge.store.press_store import Store
 
 __all__ = [
+    "AskedAgain",
     "Found",
     "ask_again",
     "find_table",
     "newest_acts",
     "read_askable",
-    "read_asked_again",
     "read_passed",
     "read_spoken_of",
     "read_verdicts",
@@ -131,15 +131,34 @@ def ask_again(store: Store, press_ids: Iterable[str], who: str, time_ns: int) ->
     )
 
 
-def read_asked_again(connection: sqlite3.Connection) -> list[Asked]:
-    """Read the presses that are asked about once more, until somebody speaks of them, oldest first."""
-    rows = connection.execute(
-        f"SELECT {_ASKED} FROM acts JOIN presses ON press_id = json_extract(arguments, '$.press_id') "
-        "WHERE acts.verb = ? AND NOT EXISTS (SELECT 1 FROM acts AS word WHERE word.verb = ? AND word.outcome = 'done' "
-        "AND word.act_id > acts.act_id AND json_extract(word.arguments, '$.press_id') = press_id) ORDER BY number",
-        (ASK_AGAIN, CONFIRM),
-    )
-    return [Asked(*row) for _, *row in rows]
+class AskedAgain:
+    """The presses that are asked about once more, until somebody speaks of them. Each word is looked at a few times and
+    then never again, so a look takes a time that does not grow with what was said before."""
+
+    def __init__(self) -> None:
+        self._answered: set[str] = set()
+        self._after = 0
+
+    def read(self, connection: sqlite3.Connection) -> list[Asked]:
+        """Read those that nobody has spoken of since they were asked, oldest first."""
+        rows = connection.execute(
+            f"SELECT act_id, {_ASKED} FROM acts JOIN presses ON press_id = json_extract(arguments, '$.press_id') "
+            "WHERE acts.verb = ? ORDER BY presses.number",
+            (ASK_AGAIN,),
+        ).fetchall()
+        asked = {row[0]: (act_id, Asked(*row)) for act_id, _, *row in rows}
+        if asked:
+            first = min(act_id for act_id, _ in asked.values())
+            newest, _ = newest_acts(connection)
+            words = connection.execute(
+                "SELECT act_id, json_extract(arguments, '$.press_id') FROM acts NOT INDEXED "
+                "WHERE act_id > ? AND verb = ? AND outcome = 'done'",
+                # One of the newest hundred may not have been done at the last look.
+                (max(first, self._after - 100), CONFIRM),
+            )
+            self._answered |= {one for act_id, one in words if one in asked and act_id > asked[one][0]}
+            self._after = newest
+        return [press for _, press in asked.values() if press.press_id not in self._answered]
 
 
 def newest_acts(connection: sqlite3.Connection) -> tuple[int, int]:

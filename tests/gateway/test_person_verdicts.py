@@ -1,10 +1,10 @@
 """A person says what a press was: the ledger keeps it beside the verdict, and the station asks for doubtful ones."""
 
 import json
-import sqlite3
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from command_line import gelgate
 from page_messages import ask, asked
 from ports import free_port
 from shadow_station import FIVE
+from sql import connection_of, count_steps, execute
 from station import Configure, Motion, press_recording, station_config, variant
 from stepped_station import SteppedStation
 
@@ -220,20 +221,12 @@ def test_what_was_said_long_ago_takes_the_loop_no_time(played: SteppedStation) -
         given = {"press_id": press_id, "verdict": "good"}
         for time_ns in range(words):
             store.begin_act(Act(time_ns, "pedal", CONFIRM, None, given, outcome="done"), 0)
-        steps.append(store.read("counting", count_steps))
+        since_ns = time.time_ns()
+        with count_steps(connection_of(store)) as counted:
+            assert store.read("counting", partial(read_verdicts, since_ns=since_ns)) == {}
+        steps.append(len(counted))
 
     assert steps[1] <= steps[0] + 1
-
-
-def count_steps(connection: sqlite3.Connection) -> int:
-    """Count them in tens, without what the statement itself takes."""
-    counted: list[None] = []
-    connection.set_progress_handler(lambda: counted.append(None), 10)
-    try:
-        assert read_verdicts(connection, since_ns=time.time_ns()) == {}
-    finally:
-        connection.set_progress_handler(None, 0)
-    return len(counted)
 
 
 def test_at_most_the_configured_number_is_asked_on_a_day(configure: Configure) -> None:
@@ -391,6 +384,25 @@ def test_a_word_that_stands_in_the_way_is_asked_for_once_more(played: SteppedSta
     assert sentence == f"the station asks once more what {ids[3]} is"
     assert ask_again(store, [ids[3]], "gelgate bundle learn", 1) == ""
     assert [one for one in check_database(store.path) if one.is_fault] == []
+
+
+def test_what_is_asked_once_more_is_found_without_reading_all_that_was_said(played: SteppedStation) -> None:
+    """Each word is read once."""
+    store, ids = played.parts.store, [one["press_id"] for one in played.said("questions")["presses"]]
+    ask_again(store, ids[:1], "gelgate bundle learn", 1)
+    execute(
+        store.path,
+        "WITH RECURSIVE n (i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 5000) "
+        "INSERT INTO acts (time_ns, running_ns, who, verb, arguments, outcome) SELECT i - 1000000000000000, i, 'kim', "
+        "'confirm_press', json_object('press_id', printf('01J%023d', i), 'verdict', 'good'), 'done' FROM n",
+    )
+    settle(played)
+
+    say(played)(press_id=ids[1], verdict="good")
+    with count_steps(connection_of(store)) as steps:
+        settle(played)
+    assert played.said("questions")["presses"][0]["press_id"] == ids[0]
+    assert len(steps) < 2000
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,10 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
-__all__ = ["add_presses", "count_steps", "execute"]
+from edge.store.press_store import Store
+
+__all__ = ["add_presses", "connection_of", "count_steps", "execute"]
 
 
 def execute(path: Path, *statements: str, given: tuple[object, ...] = ()) -> list[Any]:
@@ -29,14 +30,16 @@ def add_presses(path: Path, number: int) -> None:
 
 
 @contextmanager
-def count_steps() -> Iterator[list[int]]:
-    """Count the steps of SQLite, in hundreds, on the connections that are opened inside: the length of the list."""
-    steps, connect = list[int](), sqlite3.connect
-
-    def connect_and_count(*given: Any, **named: Any) -> sqlite3.Connection:
-        connection = connect(*given, **named)
-        connection.set_progress_handler(lambda: steps.append(100), 100)
-        return connection
-
-    with patch("sqlite3.connect", connect_and_count):
+def count_steps(connection: sqlite3.Connection) -> Iterator[list[None]]:
+    """Count the steps of SQLite, in tens: the length of the list."""
+    steps = list[None]()
+    connection.set_progress_handler(lambda: steps.append(None), 10)
+    try:
         yield steps
+    finally:
+        connection.set_progress_handler(None, 0)
+
+
+def connection_of(store: Store) -> sqlite3.Connection:
+    """Return the connection of a store."""
+    return store.read("counting steps", lambda connection: connection)
