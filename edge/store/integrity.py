@@ -149,9 +149,10 @@ def _outbox(connection: sqlite3.Connection) -> Iterator[Finding]:
     ):
         yield Finding("outbox", f"acknowledgements of rows that are not there: {orphans}")
     faults: dict[str, list[int]] = defaultdict(list)
+    oldest = _count(connection, "SELECT coalesce(min(time_ns), 0) FROM presses")  # reads all of them
     rows = "SELECT row_id, topic, content_type, bytes, payload FROM outbox ORDER BY row_id"
     for row_id, *row in connection.execute(rows):
-        for what in _row_faults(connection, *row):
+        for what in _row_faults(connection, oldest, *row):
             faults[what].append(row_id)
     for what, ids in faults.items():
         yield Finding("outbox", f"rows that {what}: {len(ids)}; the first is row {ids[0]}")
@@ -160,8 +161,9 @@ def _outbox(connection: sqlite3.Connection) -> Iterator[Finding]:
 
 
 def _row_faults(
-    connection: sqlite3.Connection, topic: str, content_type: str, size: int, payload: bytes
+    connection: sqlite3.Connection, oldest: int, topic: str, content_type: str, size: int, payload: bytes
 ) -> Iterator[str]:
+    """List what is wrong with a row. oldest: the time of the oldest press."""
     if size != len(payload) + ROW_OVERHEAD_BYTES:
         yield "have another size than they say"
     try:
@@ -173,7 +175,6 @@ def _row_faults(
     elif topic == "result" and content:
         press_id = (content.get("press_id"),)
         known = connection.execute("SELECT 1 FROM presses WHERE press_id = ?", press_id).fetchone()
-        oldest = _count(connection, "SELECT coalesce(min(time_ns), 0) FROM presses")
         if known is None and content.get("time_ns", 0) >= oldest:
             yield "are results of presses that the history does not have"
 

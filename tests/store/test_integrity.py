@@ -4,10 +4,11 @@ from pathlib import Path
 
 import pytest
 from recorded_presses import SERIAL, count, make_press, record
-from sql import execute
+from sql import add_presses, count_steps, execute
 
 from edge.core.errors import StoreError
-from edge.store.database import quick_check
+from edge.store import integrity
+from edge.store.database import open_read_only, quick_check
 from edge.store.integrity import Finding, check_database
 from edge.store.outbox import Outbox
 from edge.store.press_counts import Count, PressCounts
@@ -103,6 +104,14 @@ def test_each_kind_of_damage_is_a_fault(used: Path, statement: str, found: str) 
     execute(used, statement)
 
     assert any(found in fault for fault in faults(used)), check_database(used)
+
+
+def test_results_that_wait_are_not_compared_with_each_press(used: Path) -> None:
+    """A receiver may be away for weeks: the history is read once for all of them."""
+    add_presses(used, 5000)
+    with open_read_only(used, "checking") as connection, count_steps(connection) as steps:
+        assert len(list(integrity._outbox(connection))) == 1
+    assert len(steps) < 5000 * 6 / 10
 
 
 def test_presses_that_have_no_result_are_a_note(used: Path) -> None:
