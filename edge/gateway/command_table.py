@@ -72,6 +72,8 @@ def _replace_gel(loop: StationLoop, arguments: ReplaceGelArguments) -> Data:
     session, parts = loop.need_session(), loop.parts
     given, now_ns = (arguments.gel_id, arguments.limit_presses, arguments.note), parts.clock.time_ns()
     label = arguments.label
+    if session.unrecorded:  # they would be counted on the new gel
+        raise ValueError("a press waits to be recorded; see the alarm `store`, and replace the gel after it")
 
     def say(gel: GelRecord) -> list[Message]:
         """The new gel takes the place of the old one's count that waits for a receiver."""

@@ -35,6 +35,18 @@ def test_a_full_disk_halts_the_station_and_loses_no_press(station: SteppedStatio
         assert [gel.presses for gel in store.gels()] == [3]
 
 
+def test_no_gel_is_replaced_while_presses_of_it_wait(station: SteppedStation) -> None:
+    """They would be counted on the new one."""
+    station.play_until(lambda: station.loop.session is not None)
+    with station.refusing("presses"):
+        station.play_until(lambda: station.loop.is_halted)
+        with pytest.raises(ValueError, match="a press waits to be recorded; see the alarm `store`"):
+            station.ask("replace_gel")
+    station.turn()
+    station.ask("replace_gel")
+    assert [gel.presses for gel in station.parts.store.gels()] == [1, 0]
+
+
 @pytest.mark.parametrize("is_written", [False, True])
 def test_presses_that_wait_are_counted_when_it_is_killed_while_they_are_written(
     config: Path, *, is_written: bool

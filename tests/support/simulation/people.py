@@ -28,7 +28,7 @@ def replace_gel(run: "Simulation", rng: random.Random) -> float:
         if run.station.disk.is_full:
             run.reach("the gel was replaced while the disk was full")
         run.note("the gel is replaced")
-    except GelgateError as error:
+    except (GelgateError, ValueError) as error:  # the latter where presses wait to be recorded
         run.world.gels.forget(run.world.clock.now_ns)
         run.reach("the gel could not be replaced")
         run.note(f"the gel is not replaced: {error}")
