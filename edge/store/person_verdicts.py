@@ -50,14 +50,15 @@ def read_verdicts(
 
 
 def read_spoken_of(connection: sqlite3.Connection, after: int) -> tuple[int, set[str]]:
-    """Read of which presses people spoke after an act, and the number of the newest word. A request that is not done
+    """Read of which presses people spoke after an act, and the number of the newest act. A request that is not done
     yet, or was never completed, may have anything for arguments: what is no text names no press."""
+    (newest,) = connection.execute("SELECT coalesce(max(act_id), 0) FROM acts").fetchone()
     query = (
-        "SELECT act_id, CASE WHEN json_valid(arguments) THEN json_extract(arguments, '$.press_id') END FROM acts "
+        "SELECT CASE WHEN json_valid(arguments) THEN json_extract(arguments, '$.press_id') END FROM acts NOT INDEXED "
         "WHERE act_id > ? AND verb = ? AND outcome IS NOT 'refused'"
     )
-    rows = connection.execute(query, (after, CONFIRM)).fetchall()
-    return max([after, *(number for number, _ in rows)]), {one for _, one in rows if isinstance(one, str)}
+    rows = connection.execute(query, (after, CONFIRM))
+    return int(newest), {one for (one,) in rows if isinstance(one, str)}
 
 
 def _name(who: str) -> str:

@@ -27,7 +27,7 @@ from edge.page.shown import readable
 from edge.store.acts import CONFIRM, Act
 from edge.store.history import HistoryQuery, read_history
 from edge.store.integrity import check_database
-from edge.store.person_verdicts import ask_again, read_verdicts
+from edge.store.person_verdicts import ask_again, read_spoken_of, read_verdicts
 from edge.store.ulid import new_ulid
 
 
@@ -225,8 +225,13 @@ def test_what_was_said_long_ago_takes_the_loop_no_time(played: SteppedStation) -
         with count_steps(connection_of(store)) as counted:
             assert store.read("counting", partial(read_verdicts, since_ns=since_ns)) == {}
         steps.append(len(counted))
+        after, _ = store.read("counting", partial(read_spoken_of, after=0))
+        with count_steps(connection_of(store)) as counted:
+            assert store.read("counting", partial(read_spoken_of, after=after)) == (after, set())
+        steps.append(len(counted))
 
-    assert steps[1] <= steps[0] + 1
+    assert steps[2] <= steps[0] + 1
+    assert steps[3] <= steps[1] + 1
 
 
 def test_at_most_the_configured_number_is_asked_on_a_day(configure: Configure) -> None:
