@@ -268,6 +268,20 @@ def test_alarms_and_verdicts_are_announced(tab: Any, sink: PageSink) -> None:
     assert tab.evaluate(unnamed) == 0
 
 
+def test_a_pass_is_shown_only_while_the_station_inspects(tab: Any, sink: PageSink) -> None:
+    """As the lights do; a fail stays."""
+    for message in (state("ready"), *press(1)):
+        sink.send(message)
+    tab.wait_for_selector("#verdict.pass")
+    for now, verdict in (("halted", "halted"), ("ready", "pass"), ("starting", "starting")):
+        sink.send(state(now))
+        wait_until(tab, f"document.getElementById('verdict').textContent === '{verdict}'")
+        assert tab.locator("#verdict.pass").count() == (now == "ready")
+    for message in press(2, verdict=Kind.FAIL, score=2.5, score_ratio=2.5):
+        sink.send(message)
+    tab.wait_for_selector("#verdict.fail")
+
+
 def test_a_gateway_that_is_gone_is_seen(browser: Any, sink: PageSink) -> None:
     """The page says so, and the last verdict is grey: it is not news."""
     one = browser.new_page()

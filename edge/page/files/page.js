@@ -375,11 +375,12 @@ function showDrift(drift, last) {
   put("followed", gain ? t("The light has changed since the fit, and is followed: the last press was made {times} times brighter in red, green, blue.", { times: gain.map((one) => one.toFixed(2)).join(", ") }) : "");
 }
 
-function showPresses(presses, piece) {
+function showPresses(presses, piece, state) {
   const last = lastOf(presses), newest = presses.slice(0, 12);
   draw("presses", [newest.map((press) => [press.press_id, press.has_picture]), may("confirm_press")], () => newest.map(showRow));
   at("say-head").hidden = !may("confirm_press");
-  const said = last ? large(last, piece) : t("no press yet");
+  const verdict = last ? large(last, piece) : t("no press yet");
+  const said = verdict === "pass" && ["starting", "halted"].includes(state) ? state : verdict; // as lights: nothing is inspected now
   at("verdict").className = /^(pass|fail|error|unsure|rejected)$/.test(said) ? said : "none";
   put("verdict", t(said));
   at("verdict").style.setProperty("--letters", at("verdict").textContent.length);
@@ -405,8 +406,9 @@ function showPresses(presses, piece) {
 function show() {
   if (shown !== null) {
     showStation(shown);
-    showPresses(shown.presses, shown.piece);
-    showHand(shown.contact, !shown.away && (shown.state || {}).state === "ready");
+    const { state } = shown.state || {};
+    showPresses(shown.presses, shown.piece, state);
+    showHand(shown.contact, !shown.away && state === "ready");
     showDrift(shown.drift, lastOf(shown.presses));
   }
 }

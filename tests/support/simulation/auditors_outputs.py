@@ -68,7 +68,9 @@ def audit_outputs(world: World, station: Station) -> Iterator[str]:
             continue
         presses = unused[one.channel]
         own = [
-            seen for seen in presses if 0 <= one.told_ns - (seen.frame_ns or seen.judged_ns) < LONGEST_S * S
+            seen
+            for seen in presses
+            if seen.judged_ns <= one.told_ns < (seen.frame_ns or seen.judged_ns) + LONGEST_S * S
         ]
         noted = [*(seen.noted_ns for seen in station.seen if seen.noted_ns >= one.told_ns), 1 << 62][0]
         is_unrecorded = any(one.told_ns <= ended <= noted for ended in station.ended_ns)
