@@ -88,6 +88,7 @@ class Database:
             self._connection.text_factory = lambda data: data.decode(errors="replace")
             with self._faults("opening"):
                 _prepare(self._connection, path, is_durable, migrates)
+            self._file = _identify(path)
         except BaseException:
             self._connection.close()
             raise
@@ -102,9 +103,15 @@ class Database:
     def writing(self, doing: str) -> Iterator[sqlite3.Connection]:
         """The connection inside one transaction: all or nothing. Errors: StoreError.
 
-        The write lock is taken at the start, so that a transaction never fails in the middle because it has none.
+        The write lock is taken at the start, so that a transaction never fails in the middle because it has none. A
+        file that was removed takes everything and keeps nothing, so it is refused.
         """
         with self._lock, self._faults(doing):
+            if _identify(self.path) != self._file:
+                raise StoreError(
+                    f"database {self.path}: {doing} failed (its file was removed or replaced); put it back as it was, "
+                    "or restart the gateway"
+                )
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 yield self._connection
@@ -121,6 +128,15 @@ class Database:
 
     def _faults(self, doing: str) -> AbstractContextManager[None]:
         return _faults(self.path, doing)
+
+
+def _identify(path: Path) -> tuple[int, int] | None:
+    """Tell which file is at a path: its disk and number; None for none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
 
 
 @contextmanager

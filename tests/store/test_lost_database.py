@@ -208,3 +208,18 @@ def test_the_sensors_used_last_are_remembered(path: Path) -> None:
         )
 
     assert [count.presses for count in counts.read().values()] == list(range(12, 20))
+
+
+@pytest.mark.parametrize("is_replaced", [False, True])
+def test_a_file_that_is_removed_while_the_station_runs_takes_no_press(path: Path, is_replaced: bool) -> None:
+    """SQLite would go on into a file that nobody finds again; what is put back as it was goes on."""
+    with Store(path) as store:
+        count(store, make_press(1))
+        away = path.rename(path.with_name("away.db"))
+        if is_replaced:
+            shutil.copy(away, path)
+        with pytest.raises(StoreError, match="its file was removed or replaced"):
+            count(store, make_press(2))
+        away.replace(path)
+        count(store, make_press(2))
+        assert execute(path, "SELECT count(*) FROM presses") == [(2,)]
