@@ -76,7 +76,7 @@ def _refuse_hidden(config: Path) -> None:
             f"the service needs {hidden[0]}, which its sandbox hides (ProtectHome, PrivateTmp); install gelgate "
             "in /opt/gelgate with a Python of the system: /usr/bin/python3 -m venv /opt/gelgate; "
             f"/opt/gelgate/bin/pip install <wheel or source folder>; the configuration belongs at {_CONFIG}; then "
-            f"{_PROGRAM} install-service"
+            f"{_PROGRAM} station install-service"
         )
 
 

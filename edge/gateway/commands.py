@@ -23,6 +23,7 @@ from edge.messaging.command_payloads import (
     CommandRequest,
     CommandResponse,
     CommandTransaction,
+    fault_sentence,
     is_signed,
     signed_text,
 )
@@ -292,11 +293,8 @@ def _request(payload: bytes) -> CommandRequest:
     try:
         return CommandRequest.model_validate_json(payload)
     except ValidationError as error:
-        fault = error.errors()[0]
-        where = ".".join(str(part) for part in fault["loc"]) or "the request"
-        raise ValueError(
-            f"{where}: {fault['msg'].removeprefix('Value error, ')}; see docs/mqtt.md"
-        ) from error
+        fault = dict(error.errors()[0])
+        raise ValueError(f"{fault_sentence(fault, 'the request')}; see docs/mqtt.md") from error
 
 
 def policy_of(config: Config) -> CommandPolicy:

@@ -227,7 +227,7 @@ class FreeSpace:
         if not self._is_low or self.bytes is None:
             return None
         return Sentence(
-            f"the disk of {self._database} has {self.bytes / 1e6:.0f} MB free, fewer than {self._warn_bytes / 1e6:.0f} "
+            f"the disk of {self._database} has {self.bytes / 1e6:.1f} MB free, fewer than {self._warn_bytes / 1e6:.1f} "
             "(store.free_mb); free space before it is full: then inspection halts"
         )
 
@@ -357,7 +357,7 @@ class Report:
         seconds = self.clock_guard.step()
         if seconds is not None:
             log.warning("the clock of this machine was set by %+.0f s", seconds)
-            now_ns, step = self._clock.time_ns(), {"seconds": seconds}
+            now_ns, step = self._clock.time_ns(), {"seconds": round(seconds, 3)}
             act = Act(now_ns, "the gateway", "clock_step", arguments=step, outcome="done")
             self._store.begin_act(act, within_s=0)
 
