@@ -51,7 +51,7 @@ def silence(run: "Simulation", rng: random.Random) -> float:
 
     def speak() -> None:
         sensor.is_silent = False
-        if is_held and hand.press and hand.press.begin_ns > begun_ns:
+        if is_held and hand.press and hand.press.begin_ns > begun_ns and hand.is_down:
             hand.hold(1)
             run.reach("a part that nobody saw put down lay there")
 

@@ -111,6 +111,11 @@ class Hand:
         return self.press is None and len(self._phases) < 8
 
     @property
+    def is_down(self) -> bool:
+        """The part lies as deep as it will; the tiny detector sees no dent of one that is being lifted."""
+        return self._phase[0] >= 1.0
+
+    @property
     def free_s(self) -> float:
         """The gel is free for so long from now on, where it is not pressed."""
         return len(self._phases) * self._period_s
