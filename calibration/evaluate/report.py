@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.evaluate.scoring import Evaluation, ScoredPress
 from calibration.metrics import Measure
+from edge.core.arrays import U8
 from edge.model.comparison import outline_regions
 from edge.pictures.press_picture import PressCaption, draw_press
 
@@ -18,8 +18,6 @@ __all__ = ["as_json", "as_table", "draw_sheet"]
 _SCHEMA_VERSION = 1
 _COLUMNS, _HEADING, _PANEL = 4, 36, 384
 _MASK_COLOUR, _PAPER, _INK = (255, 255, 255), 250, (25, 25, 25)
-
-U8 = NDArray[np.uint8]
 
 
 def as_table(evaluation: Evaluation) -> str:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting import bundle_measurements as measuring
 from calibration.fitting import self_check
@@ -47,6 +46,7 @@ from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPres
 from calibration.fitting.presses.preparation import prepare_presses
 from calibration.progress import Report, StageTimes
 from calibration.threads import one_blas_thread
+from edge.core.arrays import F64
 from edge.core.detector import Bank, Nominal, Progress
 from edge.core.registration.registrar import PartInPose
 from edge.model.bundle import Bundle, GoldenFrame, Graphs
@@ -66,8 +66,6 @@ from edge.model.session import TrunkSessions
 from edge.model.tile_runner import most_typical, untouched_tiles
 
 __all__ = ["FitConfig", "Fitted", "fit_files"]
-
-Float = NDArray[np.float64]
 
 # The score maps of all presses are kept until a limit is chosen.
 MEMORY_BYTES = 1 << 30
@@ -133,7 +131,7 @@ class _Plan:
         config = self.config
         return plan_copies(config.augment, self.presses, config.detector.name, config.mode, is_registered)
 
-    def find_threshold(self, scores: Float, slack: float = 0.0) -> ThresholdEntry:
+    def find_threshold(self, scores: F64, slack: float = 0.0) -> ThresholdEntry:
         pieces = self.presses.specimens
         return conformal_threshold(scores, self.config.alpha, slack, specimens=pieces, fewest=self.fewest)
 
@@ -247,7 +245,7 @@ class _Learnt:
     bank: Bank
     head: bytes
     choice: Choice
-    scores: Float | None
+    scores: F64 | None
     """Scores of the nominal presses; None where no press is held out."""
     facts: Mapping[str, Any]
     """What was decided, for the manifest."""

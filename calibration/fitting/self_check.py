@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.limits.folds import Folds
 from calibration.fitting.limits.held_out import HeldOut
@@ -12,6 +11,7 @@ from calibration.fitting.limits.limit_choice import WORTH, Choice, DamageFound, 
 from calibration.fitting.presses.gel_choice import SCATTERED_MM, away_mm, spread_mm
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from edge import registry
+from edge.core.arrays import F64
 from edge.core.detector import Detector
 from edge.core.errors import FitError
 from edge.core.imaging.sensor_profile import SensorProfile
@@ -30,8 +30,6 @@ __all__ = [
     "standing_apart",
     "unproven_warnings",
 ]
-
-Float = NDArray[np.float64]
 
 ScoreApart = Callable[[Folds], HeldOut]
 """Scores the presses of each fold, and the damage in them, by a bank of the others."""
@@ -167,7 +165,7 @@ def _try_remedies(
         yield words, evidence.keep(held), replace(evidence, held_out=fewer).keep(held)
 
 
-def standing_apart(scores: NDArray[np.float64]) -> list[int]:
+def standing_apart(scores: F64) -> list[int]:
     """Which presses score far above all others, the highest first.
 
     scores: out-of-fold scores, (n,). Up to APART_SHARE of them, at least one, may be outliers together; each is
@@ -185,7 +183,7 @@ def standing_apart(scores: NDArray[np.float64]) -> list[int]:
     return []
 
 
-def apart_warnings(scores: NDArray[np.float64] | None, names: Sequence[str]) -> list[str]:
+def apart_warnings(scores: F64 | None, names: Sequence[str]) -> list[str]:
     """Write a sentence for each outlier; none where too few presses have scores."""
     if scores is None or len(scores) < MIN_PRESSES:
         return []

@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import measure_tolerance, score_again
 from calibration.fitting.fit import Fitted, fit_files
@@ -19,6 +18,7 @@ from calibration.fitting.limits.appended import TAUGHT_WEIGHTS, append
 from calibration.fitting.limits.gel_limits import find_near
 from calibration.fitting.limits.threshold import pieces_of, promise_at, promise_known_pieces
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from edge.core.arrays import F32, F64
 from edge.core.detector import Bank
 from edge.core.errors import FitError, NotScorable, PoseNotFound
 from edge.core.registration.pose import warp
@@ -39,9 +39,6 @@ __all__ = [
     "name_alike",
     "why_not",
 ]
-
-Float = NDArray[np.float64]
-F32 = NDArray[np.float32]
 
 BEARABLE: Final = 0.10
 """Of sound presses that fail: twice what a fit asks for by default."""
@@ -71,7 +68,7 @@ class Lesson:
     nominal: NominalPresses
     config: FitConfig
     created: str
-    scores: Float = field(init=False)
+    scores: F64 = field(init=False)
     """Of the damaged presses, by the old bundle."""
     maps: F32 = field(init=False)
     """Their score maps in units of the limit, where the bank knows the part, (m, h, w)."""
@@ -137,7 +134,7 @@ class Remedy:
     what: str
     """What it changes, in words."""
     fitted: Fitted
-    scores: Float
+    scores: F64
     """Of the damaged presses."""
 
     @property
@@ -290,7 +287,7 @@ def _weigh(lesson: Lesson, usual: F32) -> F32:
     return np.asarray(weights, np.float32)
 
 
-def _see(scorer: Scorer, presses: NominalPresses, old: Bundle) -> tuple[Float, F32]:
+def _see(scorer: Scorer, presses: NominalPresses, old: Bundle) -> tuple[F64, F32]:
     """Score presses in units of the scorer's limit; a press without a score is infinite and its map empty. Maps are in
     the pose of the old bundle's bank."""
     limit = scorer.bundle.manifest.threshold.value

@@ -10,9 +10,9 @@ value is never too high.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.metrics.pixel import Maps, Masks, check_pairs
+from edge.core.arrays import F64
 
 __all__ = ["AUPIMO_BOUNDS", "aupimo_means"]
 
@@ -21,12 +21,8 @@ AUPIMO_BOUNDS = (1e-5, 1e-4)
 # A replicate over specimens may hold more good images than the set; twice as many is covered exactly.
 _SPARE = 2
 
-Float = NDArray[np.float64]
 
-
-def aupimo_means(
-    maps: Maps, masks: Masks, weights: Float, bounds: tuple[float, float] = AUPIMO_BOUNDS
-) -> Float:
+def aupimo_means(maps: Maps, masks: Masks, weights: F64, bounds: tuple[float, float] = AUPIMO_BOUNDS) -> F64:
     """The mean over defective images for each row of `weights`, (weightings, images); NaN where undefined."""
     table = _recall_table(maps, masks, bounds)
     values = np.full(weights.shape[0], np.nan)
@@ -43,7 +39,7 @@ def aupimo_means(
 
 def _recall_table(
     maps: Maps, masks: Masks, bounds: tuple[float, float]
-) -> tuple[Float, Float, list[int], list[int]] | None:
+) -> tuple[F64, F64, list[int], list[int]] | None:
     """Recalls (defective, thresholds) strictly above each falling good score, and the share of one pixel there.
 
     shares: (thresholds, good), the rate that each threshold adds in each good image. Of each image only the top pixels
@@ -72,7 +68,7 @@ def _recall_table(
     return recalls, shares, good, defective
 
 
-def _log_spans(shares: Float, weights: Float, bounds: tuple[float, float]) -> Float:
+def _log_spans(shares: F64, weights: F64, bounds: tuple[float, float]) -> F64:
     """The share of the log range in which each threshold is the strictest; (weightings, thresholds), sums to 1."""
     rate = np.cumsum((weights / weights.sum(axis=1, keepdims=True)) @ shares.T, axis=1)
     low, high = (math.log(b) for b in bounds)
@@ -80,5 +76,5 @@ def _log_spans(shares: Float, weights: Float, bounds: tuple[float, float]) -> Fl
     reached = np.concatenate([np.zeros((weights.shape[0], 1)), rate], axis=1)
     edges = np.log(np.clip(reached, *bounds))
     edges[:, -1] = high
-    spans: Float = np.diff(edges, axis=1) / (high - low)
+    spans: F64 = np.diff(edges, axis=1) / (high - low)
     return spans

@@ -19,6 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F64, Mask
+
 __all__ = [
     "AUPRO_LIMIT",
     "Maps",
@@ -33,26 +35,23 @@ __all__ = [
 # The paper integrates to one per cent false positives; MVTec AD's own default is 0.3.
 AUPRO_LIMIT = 0.01
 
-
 Maps = Sequence[NDArray[np.floating[Any]]] | NDArray[np.floating[Any]]
 """Score maps, one (h, w) per image: raw, higher is more anomalous. Sizes may differ between images."""
 
-Masks = Sequence[NDArray[np.bool_]] | NDArray[np.bool_]
+Masks = Sequence[Mask] | Mask
 """Defect masks, bool (h, w) each, True where the defect is; all False for a good image."""
 
 # Elements of one (thresholds, weightings) block: 32 MB of float64 each.
 _BLOCK_ELEMENTS = 1 << 22
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class PixelMeasures:
     """One value per weighting, float64 (weightings,), NaN where a weighting leaves it undefined."""
 
-    auroc: Float
-    average_precision: Float
-    aupro: Float
+    auroc: F64
+    average_precision: F64
+    aupro: F64
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ def aupro(maps: Maps, masks: Masks, limit: float = AUPRO_LIMIT) -> float | None:
     return pool_measures(maps, masks, (limit,)).aupro[0]
 
 
-def pixel_measures(maps: Maps, masks: Masks, weights: Float, limit: float = AUPRO_LIMIT) -> PixelMeasures:
+def pixel_measures(maps: Maps, masks: Masks, weights: F64, limit: float = AUPRO_LIMIT) -> PixelMeasures:
     """Measure the pixels for each row of `weights`, float64 (weightings, images), multiplicities of the images.
 
     A row of ones gives exactly what `auroc`, `average_precision` and `aupro` give for all pixels.
@@ -130,11 +129,11 @@ class _Defects:
     step: NDArray[np.int64]
     """The index of the distinct score of each pixel."""
     image: NDArray[np.int64]
-    overlap: Float
+    overlap: F64
     """1/|region| of each pixel."""
 
 
-def _sort_defects(maps: Maps, masks: Masks) -> tuple[_Defects, Float]:
+def _sort_defects(maps: Maps, masks: Masks) -> tuple[_Defects, F64]:
     """The defect pixels by falling score, and the regions of each image, float64 (images,).
 
     Regions are 8-connected: a thin scratch is one.
@@ -158,23 +157,23 @@ def _sort_defects(maps: Maps, masks: Masks) -> tuple[_Defects, Float]:
 class _Curves:
     """The integrals up to a threshold, and the weighted totals of the set; (weightings,) each."""
 
-    limits: Float
+    limits: F64
     """(limits, 1)."""
-    sound: Float
-    found_in_all: Float
-    regions: Float
-    area: Float
+    sound: F64
+    found_in_all: F64
+    regions: F64
+    area: F64
     """(limits, weightings)."""
-    ranks: Float = field(init=False)
-    precision: Float = field(init=False)
-    found: Float = field(init=False)
-    overlap: Float = field(init=False)
-    rate: Float = field(init=False)
+    ranks: F64 = field(init=False)
+    precision: F64 = field(init=False)
+    found: F64 = field(init=False)
+    overlap: F64 = field(init=False)
+    rate: F64 = field(init=False)
 
     def __post_init__(self) -> None:
         self.ranks, self.precision, self.found, self.overlap, self.rate = np.zeros((5, *self.sound.shape))
 
-    def add(self, above: Float, at_or_above: Float, found: Float, overlap: Float) -> None:
+    def add(self, above: F64, at_or_above: F64, found: F64, overlap: F64) -> None:
         """Carry the integrals over a run of falling thresholds; weighted counts, (thresholds, weightings) each."""
         self.ranks += np.sum(found * (self.sound - 0.5 * (above + at_or_above)), axis=0)
         so_far = self.found + np.cumsum(found, axis=0)
@@ -183,7 +182,7 @@ class _Curves:
         if (self.rate < self.limits).any():
             self._add_overlap(above, at_or_above, overlap)
 
-    def _add_overlap(self, above: Float, at_or_above: Float, overlap: Float) -> None:
+    def _add_overlap(self, above: F64, at_or_above: F64, overlap: F64) -> None:
         """Integrate the overlap: level between two defect scores, straight across a score that both sides share."""
         reached = self.overlap + np.cumsum(overlap, axis=0)
         before = np.concatenate([self.overlap[None], reached[:-1]])
@@ -197,12 +196,12 @@ class _Curves:
             area += np.sum(level + width * (before + 0.5 * share * (reached - before)), axis=0)
         self.overlap, self.rate = reached[-1], leave[-1]
 
-    def close(self) -> tuple[Float, Float, Float]:
+    def close(self) -> tuple[F64, F64, F64]:
         """Close the curves at (1, 1) and normalise: AUROC, average precision, AU-PRO (limits, weightings)."""
         is_defined = (self.found_in_all > 0) & (self.sound > 0)
         area = self.area + self.overlap * (self.limits - np.minimum(self.rate, self.limits))
 
-        def divide(value: Float, by: Float) -> Float:
+        def divide(value: F64, by: F64) -> F64:
             return np.where(is_defined, value / np.where(is_defined, by, 1.0), np.nan)
 
         return (
@@ -213,8 +212,8 @@ class _Curves:
 
 
 def _integrate(
-    defects: _Defects, regions: Float, sound: list[NDArray[Any]], weights: Float, limits: Sequence[float]
-) -> tuple[Float, Float, Float]:
+    defects: _Defects, regions: F64, sound: list[NDArray[Any]], weights: F64, limits: Sequence[float]
+) -> tuple[F64, F64, F64]:
     """AUROC and average precision (weightings,) and AU-PRO (limits, weightings).
 
     regions: of each image. sound: the sound pixels of each image, rising. weights: (weightings, images).
@@ -246,7 +245,7 @@ def _integrate(
     return curves.close()
 
 
-def _weigh(places: NDArray[np.int64], values: Float, thresholds: int, by_image: Float) -> Float:
+def _weigh(places: NDArray[np.int64], values: F64, thresholds: int, by_image: F64) -> F64:
     """Sum values at (threshold, image) per threshold with the images' weights: (thresholds, weightings).
 
     places: threshold * images + image. Nearly every pair is empty, so the product is taken of those that are not.

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from calibration.metrics.aupimo import AUPIMO_BOUNDS, aupimo_means
 from calibration.metrics.pixel import AUPRO_LIMIT, Maps, Masks, pixel_measures
+from edge.core.arrays import F64, Mask
 
 __all__ = [
     "REPLICATES",
@@ -24,8 +25,6 @@ __all__ = [
 ]
 
 REPLICATES = 1000
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ def measure(
     anomaly_scores: NDArray[np.floating[Any]],
     specimens: Sequence[str] | None = None,
     *,
-    is_defective: NDArray[np.bool_] | None = None,
+    is_defective: Mask | None = None,
     limit: float = AUPRO_LIMIT,
     replicates: int = REPLICATES,
     seed: int = 0,
@@ -87,7 +86,7 @@ def measure(
     return tuple(_measure(name, column, images.shape[0], reason) for name, column in columns.items())
 
 
-def image_auroc_of(scores: NDArray[np.floating[Any]], label: NDArray[np.bool_], weights: Float) -> Float:
+def image_auroc_of(scores: NDArray[np.floating[Any]], label: Mask, weights: F64) -> F64:
     """Compute it for each row of weights (weightings, presses), float64 (weightings,); NaN where undefined.
 
     The first row is ones.
@@ -108,7 +107,7 @@ def image_auroc_of(scores: NDArray[np.floating[Any]], label: NDArray[np.bool_], 
     return values
 
 
-def _why_undefined(label: NDArray[np.bool_], masks: Masks) -> str:
+def _why_undefined(label: Mask, masks: Masks) -> str:
     if not label.size:
         return "there is no press"
     if label.all():
@@ -120,7 +119,7 @@ def _why_undefined(label: NDArray[np.bool_], masks: Masks) -> str:
     return "there is no sound pixel, or no press whose mask is empty"
 
 
-def _measure(name: str, column: Float, replicates: int, reason: str) -> Measure:
+def _measure(name: str, column: F64, replicates: int, reason: str) -> Measure:
     if not np.isfinite(column[0]):
         return Measure(name, None, reason=reason)
     images, parts = column[1 : 1 + replicates], column[1 + replicates :]
@@ -130,14 +129,14 @@ def _measure(name: str, column: Float, replicates: int, reason: str) -> Measure:
 CONFIDENCE = 0.95
 
 
-def image_weights(is_defective: NDArray[np.bool_], replicates: int, rng: np.random.Generator) -> Float:
+def image_weights(is_defective: Mask, replicates: int, rng: np.random.Generator) -> F64:
     """Multiplicities float64 (replicates, images), each image its own unit."""
     return specimen_weights([str(i) for i in range(is_defective.size)], is_defective, replicates, rng)
 
 
 def specimen_weights(
-    specimens: Sequence[str], is_defective: NDArray[np.bool_], replicates: int, rng: np.random.Generator
-) -> Float:
+    specimens: Sequence[str], is_defective: Mask, replicates: int, rng: np.random.Generator
+) -> F64:
     """Multiplicities float64 (replicates, images), all images of a specimen together.
 
     A specimen with any defective image is drawn among the defective ones, its good images with it.
@@ -155,7 +154,7 @@ def specimen_weights(
     return weights[:, unit]
 
 
-def interval(values: Float, confidence: float = CONFIDENCE) -> tuple[float, float] | None:
+def interval(values: F64, confidence: float = CONFIDENCE) -> tuple[float, float] | None:
     """The percentile interval of the replicates that are defined; None when fewer than half are."""
     defined = values[np.isfinite(values)]
     if defined.size * 2 < values.size or not defined.size:
@@ -165,7 +164,7 @@ def interval(values: Float, confidence: float = CONFIDENCE) -> tuple[float, floa
     return float(low), float(high)
 
 
-def auroc(scores: NDArray[np.floating[Any]], is_defective: NDArray[np.bool_]) -> float | None:
+def auroc(scores: NDArray[np.floating[Any]], is_defective: Mask) -> float | None:
     """Area under the ROC curve, ties at half; None when one of the two classes is absent.
 
     The share of pairs, one defective and one sound, in which the defective one scores higher. Errors: ValueError.
@@ -180,10 +179,10 @@ def auroc(scores: NDArray[np.floating[Any]], is_defective: NDArray[np.bool_]) ->
 
 def recall_at(
     scores: NDArray[np.floating[Any]],
-    is_defective: NDArray[np.bool_],
-    weights: Float,
+    is_defective: Mask,
+    weights: F64,
     rate: float,
-) -> Float:
+) -> F64:
     """Return the share of defective presses above the lowest threshold with at most `rate` false alarms, per weighting.
 
     scores: (presses,). weights: (weightings, presses). A press alarms when its score is above the threshold, and a
@@ -203,7 +202,7 @@ def recall_at(
     return np.where(is_defined, found / np.where(is_defined, total_bad, 1.0), np.nan)
 
 
-def _check(scores: NDArray[np.floating[Any]], is_defective: NDArray[np.bool_]) -> None:
+def _check(scores: NDArray[np.floating[Any]], is_defective: Mask) -> None:
     if scores.shape != is_defective.shape:
         raise ValueError(
             f"each score has one label: found {scores.shape} scores and {is_defective.shape} labels"

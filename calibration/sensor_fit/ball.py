@@ -4,14 +4,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from calibration.simulator.field_of_view import F32, LR
+from calibration.simulator.field_of_view import LR
 from calibration.simulator.shapes import f32
+from edge.core.arrays import F32, F64, Mask
 
 __all__ = ["Ball", "Circle", "ball_height", "find_circle"]
-
-Mask = NDArray[np.bool_]
 
 # The contact is where the change is above this share of its strongest, and above what noise and drift reach.
 _SHARE, _LEAST_LEVELS, _STRONGEST = 0.35, 10.0, 99.5
@@ -76,7 +74,7 @@ def find_circle(change: F32, ignored: Mask | None = None) -> Circle | None:
     return None if largest is None or len(largest) < 8 else _through(largest[:, 0].astype(np.float64))
 
 
-def _through(points: NDArray[np.float64]) -> Circle:
+def _through(points: F64) -> Circle:
     """The least-squares circle through points (n, 2), by Kasa's linear form."""
     columns = np.column_stack([2 * points, np.ones(len(points))])
     x, y, rest = np.linalg.lstsq(columns, (points**2).sum(axis=1), rcond=None)[0]

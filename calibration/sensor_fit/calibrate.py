@@ -11,9 +11,10 @@ from calibration.sensor_fit.fit import BallPress, fit_gel, fit_response
 from calibration.sensor_fit.gel_colours import fit_free_gel, fit_noise
 from calibration.sensor_fit.presses import ball_presses, check_ball, untouched_gel
 from calibration.sensor_fit.result import Judged, gain, judge, rms_of, with_response
-from calibration.simulator.field_of_view import F32, LR, grids
+from calibration.simulator.field_of_view import LR, grids
 from calibration.simulator.sensor_appearance import SensorAppearance
 from calibration.simulator.sensor_file import Fitted, SensorFile
+from edge.core.arrays import F32
 from edge.core.detector import Progress
 
 __all__ = ["Calibrated", "calibrate_sensor", "divide"]

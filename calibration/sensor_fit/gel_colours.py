@@ -5,16 +5,13 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.simulator.camera import NOISE_LEVEL
-from calibration.simulator.field_of_view import F32, LR
+from calibration.simulator.field_of_view import LR
 from calibration.simulator.sensor_appearance import free_gel_powers
+from edge.core.arrays import F32, F64, U8, Mask
 
 __all__ = ["fit_free_gel", "fit_noise", "has_markers", "marker_dots"]
-
-F64 = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # A marker dot: darker than its surroundings of 17 pixels by this much, with an area in this range, in pixels of
 # 320x240. A gel with fewer has specks, not markers: real gels have up to 43 dark specks, smaller than a dot.
@@ -71,7 +68,7 @@ def has_markers(planes: F32) -> bool:
     return int(((area >= _DOT_AREA_PX[0]) & (area <= _DOT_AREA_PX[1])).sum()) >= _FEWEST_DOTS
 
 
-def _dark(planes: F32) -> NDArray[np.uint8]:
+def _dark(planes: F32) -> U8:
     grey = planes.mean(axis=0).astype(np.float32)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_SURROUNDINGS_PX, _SURROUNDINGS_PX))
     return np.asarray(cv2.morphologyEx(grey, cv2.MORPH_BLACKHAT, kernel) > _DOT_LEVELS, np.uint8)

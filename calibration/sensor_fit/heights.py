@@ -7,15 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.sensor_fit.ball import ball_height
 from calibration.sensor_fit.calibrate import divide
 from calibration.sensor_fit.fit import BallPress, SensorFit, fit_gel, fit_poses, fit_response
 from calibration.sensor_fit.presses import ball_presses, check_ball, untouched_gel
-from calibration.simulator.field_of_view import F32, LR, grids
+from calibration.simulator.field_of_view import LR, grids
 from calibration.simulator.gel import deformation
+from edge.core.arrays import F32, F64, U8
 from edge.core.detector import Progress
 from edge.core.errors import FitError, HeightError
 from edge.core.heights.calibration import (
@@ -31,10 +31,6 @@ from edge.core.heights.roughness import CUT_OFFS_MM, band
 from edge.core.imaging.sensor_check import colour_cells
 
 __all__ = ["CalibratedHeights", "HeldBall", "calibrate_heights", "measure_presses"]
-
-U8 = NDArray[np.uint8]
-F64 = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _FOLDS = 5
 # Shares of the mean diagonal that are added to the normal equations, as in the simulator's fit.

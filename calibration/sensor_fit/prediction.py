@@ -9,18 +9,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.sensor_fit.ball import Ball, ball_height
 from calibration.simulator import camera, optics
-from calibration.simulator.field_of_view import F32, LR, Field, grids
+from calibration.simulator.field_of_view import LR, Field, grids
 from calibration.simulator.gel import Gel, deformation
 from calibration.simulator.sensor_appearance import place_powers
+from edge.core.arrays import F32, F64, Mask
 
 __all__ = ["COLUMNS", "CONSTANT_COLUMNS", "Prediction", "Window", "predict", "window_around"]
-
-F64 = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 COLUMNS = 21
 """Of a response: six of nx, six of ny, three squares, six of the height."""
@@ -28,7 +25,6 @@ CONSTANT_COLUMNS = (0, 6, 12, 13, 14, 15)
 """Those that do not change from place to place."""
 # The gel lifts this far around a contact, as a share of its radius and in mm.
 _LIFTED, _LIFTED_MM, _SPARE_MM = 1.5, 0.3, 0.9
-
 
 Window = tuple[slice, slice]
 """Rows and columns of the picture."""

@@ -3,20 +3,18 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.sensor_fit.ball import Circle, find_circle
 from calibration.sensor_fit.fit import BallPress
 from calibration.sensor_fit.gel_colours import has_markers, marker_dots
 from calibration.sensor_fit.prediction import CONSTANT_COLUMNS, predict, window_around
-from calibration.simulator.field_of_view import F32, LR
+from calibration.simulator.field_of_view import LR
 from calibration.simulator.gel import GEL
+from edge.core.arrays import F32, Mask
 from edge.core.errors import FitError
 
 __all__ = ["ball_presses", "check_ball", "untouched_gel"]
-
-Mask = NDArray[np.bool_]
 
 LEAST_PRESSES = 3
 # Outside contact a press differs from its own free gel by the noise alone, about 2 levels; two real sensors differ by

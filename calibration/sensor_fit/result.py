@@ -4,19 +4,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.sensor_fit.ball import ball_height
 from calibration.sensor_fit.fit import BallPress, SensorFit, fit_poses, fit_without_each
 from calibration.simulator.camera import quantise
-from calibration.simulator.field_of_view import F32, LR, grids
+from calibration.simulator.field_of_view import LR, grids
 from calibration.simulator.preview import title_picture
-from calibration.simulator.renderer import U8, Renderer
+from calibration.simulator.renderer import Renderer
 from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
+from edge.core.arrays import F32, F64, U8
 
 __all__ = ["Judged", "calibration_sheet", "gain", "judge", "rms_of", "with_response"]
-
-F64 = NDArray[np.float64]
 
 # What a scene computes of a still press on a clean gel; noise and grain are left out, they have no place to compare.
 _EFFECTS = ("deformation", "illumination", "shadows", "specular", "vignette", "lens_blur")

@@ -10,9 +10,9 @@ from statistics import NormalDist
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from calibration.simulator.field_of_view import F32, Field, grids
+from calibration.simulator.field_of_view import Field, grids
+from edge.core.arrays import F32, U8
 
 __all__ = [
     "CAMERA_QUALITY",
@@ -29,8 +29,6 @@ __all__ = [
     "quantise",
     "vignette",
 ]
-
-U8 = NDArray[np.uint8]
 
 # Quality at which 3280x2464 frames are as large as the camera's (0.24 to 1.0 MB).
 CAMERA_QUALITY = 85

@@ -27,11 +27,12 @@ from calibration.folders import claim, write_whole
 from calibration.simulator.field_of_view import HR, LR, Field
 from calibration.simulator.plan import PressPlan, damage, dataset_plan, piece
 from calibration.simulator.pose import Pose
-from calibration.simulator.renderer import U8, Exposure, Renderer
+from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.scene import Scene, change_counts
 from calibration.simulator.streams import Streams
 from calibration.simulator.workers import in_order
+from edge.core.arrays import U8
 from edge.core.detector import Progress
 from edge.core.errors import ConfigError, DatasetError, StoreError
 

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calibration.simulator import reproducible_math
-from calibration.simulator.field_of_view import F32, Field, grids
+from calibration.simulator.field_of_view import Field, grids
 from calibration.simulator.pose import HeightField, Pose, sample
 from calibration.simulator.shapes import f32, ramp, rotate
+from edge.core.arrays import F32
 
 __all__ = ["DEFECTS", "DENT_DEPTH_MM", "SCRATCH_DEPTH_MM", "Damaged", "Defect", "place_defect"]
 

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F32
 from edge.core.imaging.known_profiles import MINI_BORDER, MINI_LR_MM_PER_PX, MINI_NATIVE
 
-__all__ = ["CROP_MM", "F32", "HR", "LR", "Field", "grids", "native_field", "unit_grids"]
-
-F32 = NDArray[np.float32]
+__all__ = ["CROP_MM", "HR", "LR", "Field", "grids", "native_field", "unit_grids"]
 
 # The gel that the maker's crop shows, (x, y): 320x240 pixels.
 CROP_MM = (320 * MINI_LR_MM_PER_PX, 240 * MINI_LR_MM_PER_PX)

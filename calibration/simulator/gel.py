@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked
 
-from calibration.simulator.field_of_view import F32
 from calibration.simulator.field_of_view import Field as View
+from edge.core.arrays import F32
 
 __all__ = ["GEL", "Gel", "deformation", "residual_imprint"]
 

@@ -7,10 +7,10 @@ import math
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.simulator import reproducible_math
-from calibration.simulator.field_of_view import CROP_MM, F32, LR, Field, grids
+from calibration.simulator.field_of_view import CROP_MM, LR, Field, grids
+from edge.core.arrays import F32, F64
 
 __all__ = [
     "dust",
@@ -25,8 +25,6 @@ __all__ = [
     "wear_relief",
     "wear_stains",
 ]
-
-F64 = NDArray[np.float64]
 
 # Specks settle anywhere on the pad, inside the crop and a little beyond.
 _SPREAD_MM = (1.25 * CROP_MM[0] / 2, 1.25 * CROP_MM[1] / 2)

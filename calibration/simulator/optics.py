@@ -7,7 +7,8 @@ changes them in place and returns them.
 import cv2
 import numpy as np
 
-from calibration.simulator.field_of_view import F32, Field
+from calibration.simulator.field_of_view import Field
+from edge.core.arrays import F32
 
 __all__ = ["headlight", "illumination", "normals", "raise_planes", "shadows", "specular"]
 

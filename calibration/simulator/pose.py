@@ -8,8 +8,9 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked
 
-from calibration.simulator.field_of_view import F32, grids
 from calibration.simulator.field_of_view import Field as View
+from calibration.simulator.field_of_view import grids
+from edge.core.arrays import F32
 
 __all__ = ["FIXTURE", "HeightField", "Jitter", "Pose", "contact", "partial_contact", "pose_jitter", "sample"]
 

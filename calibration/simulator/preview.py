@@ -11,9 +11,10 @@ from calibration.simulator.effects import EFFECTS
 from calibration.simulator.field_of_view import LR
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Pose, sample
-from calibration.simulator.renderer import U8, Exposure, Renderer
+from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.scene import Scene
 from calibration.simulator.streams import Streams
+from edge.core.arrays import U8
 
 __all__ = ["preview", "title_picture", "write_preview"]
 

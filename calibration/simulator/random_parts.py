@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.simulator import reproducible_math
-from calibration.simulator.field_of_view import F32
 from calibration.simulator.pose import HeightField, Pose
 from calibration.simulator.shapes import FLOOR_MM, box, f32, plateau, ramp, rotate
+from edge.core.arrays import F32
 
 __all__ = ["RandomPart", "Relief", "random_part"]
 

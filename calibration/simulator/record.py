@@ -12,15 +12,16 @@ import numpy as np
 from calibration.folders import claim, is_empty
 from calibration.simulator.camera import CAMERA_QUALITY, encode_jpeg
 from calibration.simulator.defects import Damaged
-from calibration.simulator.field_of_view import F32, HR, LR, native_field
+from calibration.simulator.field_of_view import HR, LR, native_field
 from calibration.simulator.motion import Moment
 from calibration.simulator.plan import PressPlan, damage, piece, recording_plan
 from calibration.simulator.pose import Pose, sample
-from calibration.simulator.renderer import U8, Exposure, Renderer
+from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.scene import Scene, SceneRun, change_counts
 from calibration.simulator.streams import Streams
 from calibration.simulator.workers import in_order
+from edge.core.arrays import F32, U8
 from edge.core.detector import Progress
 from edge.core.errors import ConfigError, RecordingError
 from edge.core.imaging.known_profiles import MINI_NATIVE

@@ -13,18 +13,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.simulator import camera, gel, gel_surface, optics, pose, sensor_appearance
 from calibration.simulator.defects import Damaged, Defect
 from calibration.simulator.effects import DEFAULT_EFFECTS, check_effects
-from calibration.simulator.field_of_view import F32, LR, Field
+from calibration.simulator.field_of_view import LR, Field
 from calibration.simulator.pose import FIXTURE, HeightField, Jitter, Pose
 from calibration.simulator.streams import Streams
+from edge.core.arrays import F32, F64, U8, Mask
 
 __all__ = ["MASK_DEPTH_MM", "Exposure", "Key", "Renderer"]
-
-U8 = NDArray[np.uint8]
 
 Key = tuple[str | int, ...]
 """The name of a press, such as ("PZ1", "pos2", 17, 3); it selects the press's own random numbers."""
@@ -168,7 +166,7 @@ class Renderer:
         presses: int = 0,
         exposure: Exposure | None = None,
         mask_depth_mm: float = MASK_DEPTH_MM,
-    ) -> tuple[U8, NDArray[np.bool_]]:
+    ) -> tuple[U8, Mask]:
         """Draw a press on the damaged part: (rgb, mask).
 
         mask: bool (h, w), where its imprint differs from the sound part's by more than `mask_depth_mm`. A press on the
@@ -185,7 +183,7 @@ class Renderer:
         return sound, damaged
 
     @staticmethod
-    def mask(sound: F32, damaged: F32, depth_mm: float = MASK_DEPTH_MM) -> NDArray[np.bool_]:
+    def mask(sound: F32, damaged: F32, depth_mm: float = MASK_DEPTH_MM) -> Mask:
         """True where two imprints differ by more than this many mm: the visible defect."""
         return np.asarray(np.abs(damaged - sound) > np.float32(depth_mm))
 
@@ -215,11 +213,11 @@ class Renderer:
         return gel_surface.grain_texture(self.streams("grain", self.gel_id), self.field)
 
     @cached_property
-    def _dust(self) -> NDArray[np.float64]:
+    def _dust(self) -> F64:
         return gel_surface.new_dust(self.streams("dust", self.gel_id))
 
     @cached_property
-    def _wear(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _wear(self) -> tuple[F64, F64]:
         return gel_surface.new_wear(self.streams("wear", self.gel_id))
 
     def _dust_relief(self, presses: int) -> F32:

@@ -10,11 +10,11 @@ from contextlib import contextmanager
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from edge.core.arrays import F32, F64
 
 __all__ = ["arcsin", "arctan2", "combine", "cos", "exp", "power", "reproducible_opencv", "sin", "tanh"]
-
-F32 = NDArray[np.float32]
 
 
 def _in_float64(function: np.ufunc) -> Callable[..., F32]:
@@ -30,7 +30,7 @@ exp, tanh, power = _in_float64(np.exp), _in_float64(np.tanh), _in_float64(np.pow
 sin, cos, arcsin, arctan2 = (_in_float64(each) for each in (np.sin, np.cos, np.arcsin, np.arctan2))
 
 
-def combine(table: NDArray[np.float64], terms: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+def combine(table: F64, terms: Sequence[F64]) -> F64:
     """Each row's weighted sum of the terms, float64 (rows, h, w), added in their order.
 
     A matrix product would leave order and rounding to the BLAS library's choice for the processor.

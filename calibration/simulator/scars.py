@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.simulator import reproducible_math
-from calibration.simulator.field_of_view import F32, Field, grids
+from calibration.simulator.field_of_view import Field, grids
+from edge.core.arrays import F32
 
 __all__ = ["SCARS", "Scar", "grain", "mark_gel", "random_scar"]
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.simulator import reproducible_math
 from calibration.simulator.camera import NOISE_SD
-from calibration.simulator.field_of_view import F32, Field, unit_grids
+from calibration.simulator.field_of_view import Field, unit_grids
 from calibration.simulator.gel import GEL, Gel
+from edge.core.arrays import F32, F64
 
 __all__ = [
     "SENSORS",
@@ -25,8 +25,6 @@ __all__ = [
     "place_powers",
     "response",
 ]
-
-F64 = NDArray[np.float64]
 
 # exp of a polynomial of degree 4 in u and v, terms u^i v^j ordered by i then j with i + j <= 4, per channel R, G, B.
 # Fitted to the no-contact frames of three units; residual sd about 2, 1.3 and 2 grey levels, at most 11 at a corner.

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calibration.simulator.field_of_view import F32
+from edge.core.arrays import F32
 
 __all__ = ["FLOOR_MM", "box", "disc", "f32", "plateau", "ramp", "rotate"]
 

@@ -13,16 +13,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from calibration.simulator.field_of_view import CROP_MM, F32, LR, Field, grids
+from calibration.simulator.field_of_view import CROP_MM, LR, Field, grids
 from calibration.simulator.gel import GEL, Gel
 from calibration.simulator.parts import specimen
 from calibration.simulator.pose import HeightField, Jitter, Pose, partial_contact, sample
 from calibration.simulator.random_parts import random_part
-from calibration.simulator.renderer import U8, Exposure, Renderer
+from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
 from calibration.simulator.shapes import f32, ramp, rotate
 from calibration.simulator.streams import Streams
+from edge.core.arrays import F32, U8
 
 __all__ = ["TRAINING_UNITS", "Pairs", "draw_pairs"]
 

@@ -11,13 +11,9 @@ from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
 from edge.core.printable import printable
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from edge.core.arrays import U8
     from edge.core.heights.calibration import HeightCalibration
     from edge.core.heights.height_map import HeightMap
-
-    U8 = NDArray[np.uint8]
 
 __all__ = ["heights"]
 

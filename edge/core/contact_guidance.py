@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import Mask
 from edge.core.contact.mask import Touch, touched
 from edge.core.contact.press_detector import Look
 from edge.core.contact.relief import reach
@@ -15,8 +15,6 @@ from edge.core.contact_state import Advice, ContactState
 from edge.core.imaging.quality import NominalContact
 
 __all__ = ["Guidance", "guide"]
-
-Mask = NDArray[np.bool_]
 
 # A tilt takes this share of the nominal reach away, on one side: its centre is this share of the reach's width from the
 # reach's. A press at another place adds as much on the other side as it takes away. Simulated parts that lie upright,

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64, Mask
 from edge.core.registration.pose import Pose
 
 __all__ = [
@@ -33,7 +34,6 @@ __all__ = [
 
 RegionKind = Literal["ignore", "judge", "stricter"]
 Points = tuple[tuple[float, float], ...]
-Mask = NDArray[np.bool_]
 
 LARGEST_FACTOR: Final = 10.0
 """Below a tenth of the limit a map shows noise, which no factor makes a damage."""
@@ -90,13 +90,13 @@ class DrawnRegion:
         corners = np.rint(pixels * 2**_SHIFT).astype(np.int32)
         return np.asarray(cv2.fillPoly(filled, [corners], 1, shift=_SHIFT) > 0)
 
-    def pixels(self, mm_per_pixel: tuple[float, float]) -> NDArray[np.float64]:
+    def pixels(self, mm_per_pixel: tuple[float, float]) -> F64:
         """Return its corners in pixels from the corner of the picture, float64 (n, 2)."""
         return np.asarray(np.array(self.points_mm, np.float64) / np.array(mm_per_pixel), np.float64)
 
     def corners_in_press(
         self, mm_per_pixel: tuple[float, float], frame: tuple[int, int], pose: Pose | None
-    ) -> NDArray[np.float64]:
+    ) -> F64:
         """Return its corners where the part lies in a press, as `pixels`. frame: (h, w) of the inspected region."""
         corners = self.pixels(mm_per_pixel)
         if pose is None:
@@ -146,7 +146,7 @@ class DrawnRegions:
 
 def weigh_places(
     regions: Sequence[DrawnRegion], frame: tuple[int, int], mm_per_pixel: tuple[float, float]
-) -> NDArray[np.float32]:
+) -> F32:
     """Return the weight of each place of a score map, float32 (h, w)."""
     weights = np.full(frame, 0 if any(one.kind == "judge" for one in regions) else 1, np.float32)
     for kind in ("judge", "stricter", "ignore"):

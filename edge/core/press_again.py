@@ -28,8 +28,8 @@ from statistics import NormalDist
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64, Mask
 from edge.core.verdict import Kind, Verdict
 
 __all__ = [
@@ -44,8 +44,6 @@ __all__ = [
     "second_verdict",
     "unsure",
 ]
-
-Float = NDArray[np.float64]
 
 AGREED: Final = 0.95
 """The share of the threshold that both presses of a damaged piece show at its place. Of 0.9, 0.95 and 1, by development
@@ -126,9 +124,9 @@ def unsure(verdict: Verdict) -> Verdict:
 class SeenScores:
     """What a press shows, place by place of the part."""
 
-    scores: NDArray[np.float32]
+    scores: F32
     """Its score map in the bank's pose, (h, w)."""
-    is_judged: NDArray[np.bool_]
+    is_judged: Mask
     """Places that were seen and judged, (h, w)."""
 
 
@@ -214,7 +212,7 @@ class _Tail:
         return float(np.mean(second)) * (low - high)
 
 
-def _at(bound: float, sound: _Tail, damaged: Sequence[Float], costs: Costs) -> Plan:
+def _at(bound: float, sound: _Tail, damaged: Sequence[F64], costs: Costs) -> Plan:
     """Compute what is expected with this bound."""
     asked = sound.rate - sound.above(bound)
     false_alarms = sound.above(bound) + sound.both(bound)

@@ -5,8 +5,8 @@ It takes a tenth of a second of a core, so it is done when the result has left, 
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F64, U8, Mask
 from edge.core.contact.reference import View, fit_levels
 from edge.core.defects import Defect
 from edge.core.heights.calibration import SIZE, HeightCalibration
@@ -18,10 +18,6 @@ from edge.core.registration.pose import Registered
 from edge.model.bundle import Bundle
 
 __all__ = ["DeviationMeter"]
-
-U8 = NDArray[np.uint8]
-F64 = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 class DeviationMeter:

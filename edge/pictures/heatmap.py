@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32, U8
+
 __all__ = ["FULL_SCALE", "draw_contour", "paint_scores", "relative_scores", "score_at"]
 
 FULL_SCALE: Final = 2.0
@@ -21,10 +23,8 @@ _COLOURS: Final = cv2.COLORMAP_INFERNO
 _CONTOUR: Final = (255, 255, 255)
 _CONTOUR_EDGE: Final = (0, 0, 0)
 
-U8 = NDArray[np.uint8]
 
-
-def relative_scores(score_map: NDArray[np.floating], threshold: float) -> NDArray[np.float32]:
+def relative_scores(score_map: NDArray[np.floating], threshold: float) -> F32:
     """Scores in units of the threshold, float32 (h, w), 1 at the threshold; `score_at` is its inverse.
 
     Errors: ValueError for a wrong map or threshold.
@@ -53,13 +53,13 @@ def score_at(relative: float, threshold: float) -> float:
     return threshold + (relative - 1) * _unit(threshold)
 
 
-def paint_scores(relative: NDArray[np.float32]) -> U8:
+def paint_scores(relative: F32) -> U8:
     """Colour relative scores (h, w) as uint8 (h, w, 3) RGB, from black (0) to pale yellow (FULL_SCALE and above)."""
     levels = np.rint(np.clip(relative / np.float32(FULL_SCALE), 0.0, 1.0) * np.float32(255.0))
     return np.asarray(cv2.applyColorMap(levels.astype(np.uint8), _COLOURS)[:, :, ::-1], np.uint8)
 
 
-def draw_contour(rgb: U8, relative: NDArray[np.float32]) -> None:
+def draw_contour(rgb: U8, relative: F32) -> None:
     """Draw a white line with a dark edge around the areas above the threshold; their inside is unchanged."""
     above = (relative > 1.0).astype(np.uint8)
     ring = cv2.dilate(above, np.ones((5, 5), np.uint8)) - cv2.dilate(above, np.ones((3, 3), np.uint8))

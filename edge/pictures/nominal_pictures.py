@@ -10,7 +10,8 @@ from typing import Final, NamedTuple, Self
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+
+from edge.core.arrays import F32, U8
 
 __all__ = ["MOST_PICTURES", "Compared", "NominalPictures"]
 
@@ -24,15 +25,13 @@ _QUALITY: Final = 90
 _AROUND_MM: Final = 1.0
 _LONGEST_NAME: Final = 128
 
-U8 = NDArray[np.uint8]
-
 
 class Compared(NamedTuple):
     """A press beside what it was compared with; both float32 (h, w, 3) of its region, in the bank's pose."""
 
-    nominal: NDArray[np.float32]
+    nominal: F32
     """Levels."""
-    difference: NDArray[np.float32]
+    difference: F32
     """The press minus it, signed levels."""
     name: str
     """Whose picture it is."""
@@ -86,6 +85,6 @@ def _whole_blocks(side: float) -> int:
     return max(1, round(side / _BLOCK)) * _BLOCK
 
 
-def _resize(picture: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+def _resize(picture: F32, size: tuple[int, int]) -> F32:
     how = cv2.INTER_AREA if size[0] < picture.shape[1] else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(picture, size, interpolation=how), np.float32)

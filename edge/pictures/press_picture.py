@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64, U8
 from edge.core.drawn_regions import RegionKind
 from edge.core.printable import score_texts
 from edge.pictures.heatmap import FULL_SCALE, draw_contour, paint_scores, relative_scores, score_at
@@ -58,15 +59,13 @@ _GREY: Final = 128
 # Possible lengths of a scale bar; the longest that fits into a third of the panel is drawn.
 _BAR_LENGTHS_MM: Final = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
-U8 = NDArray[np.uint8]
-
 
 class Outline(NamedTuple):
     """A drawn region where it lies in the press."""
 
     name: str
     kind: RegionKind
-    corners: NDArray[np.float64]
+    corners: F64
     """(n, 2) in pixels of the inspected region, from its corner."""
 
 
@@ -219,7 +218,7 @@ def _at(value: float, top: int, bottom: int) -> int:
     return round(bottom - 1 - (bottom - 1 - top) * value / FULL_SCALE)
 
 
-def _draw_compared(area: U8, compared: Compared, relative: NDArray[np.float32]) -> None:
+def _draw_compared(area: U8, compared: Compared, relative: F32) -> None:
     """Draw two panels, with the contour of the press, below a line that says what they are."""
     height, width = relative.shape
     nominal, difference = compared.nominal, _GREY + _TIMES * compared.difference

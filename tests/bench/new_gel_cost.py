@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.fitting.limits.folds import divide_presses
@@ -33,11 +32,10 @@ from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance, another_gel
 from calibration.simulator.streams import Streams
 from edge import registry
+from edge.core.arrays import U8, Mask
 from edge.core.detector import Bank, Features, Nominal
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
-
-U8 = NDArray[np.uint8]
 
 METHODS: Final = ("padim", "fapm", "spade", "inreach", "patchcore")
 SEED: Final = 53_000
@@ -85,7 +83,7 @@ class GelPresses:
         whole, exposure = self._piece(piece)
         return self.renderer.press(whole, DEPTH_MM, (piece,), presses=AGE, exposure=exposure)
 
-    def scored(self, number: int) -> tuple[U8, NDArray[np.bool_]]:
+    def scored(self, number: int) -> tuple[U8, Mask]:
         """Regions of sound and damaged pieces in turn, uint8 (n, h, w, 3), and their masks, bool (n, h, w)."""
         kinds, rng = tuple(DEFECTS), self.streams("severities", number)
         frames, masks = [], []
@@ -134,7 +132,7 @@ def measure_part(number: int, is_other_unit: bool) -> Iterator[Row]:
 
 
 def _compare(
-    learner: Learner, nominals: Sequence[Nominal], features: Sequence[Features], masks: NDArray[np.bool_]
+    learner: Learner, nominals: Sequence[Nominal], features: Sequence[Features], masks: Mask
 ) -> Iterator[tuple[str, Row]]:
     """Measure every way. nominals: old, again, few. features: sound on the old gel; few and scored on the new gel."""
     (old, at_old), (again, at_again), (alone, at_alone) = (_learn(learner, one) for one in nominals)

@@ -14,7 +14,6 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.fitting.fit import FitConfig, fit_files
@@ -22,7 +21,7 @@ from calibration.fitting.presses.nominal_presses import gather_presses
 from calibration.fitting.trunks import open_trunk
 from calibration.simulator.defects import DEFECTS, Damaged, Defect
 from calibration.simulator.effects import DEFAULT_EFFECTS
-from calibration.simulator.field_of_view import F32, LR, grids
+from calibration.simulator.field_of_view import LR, grids
 from calibration.simulator.parts import PARTS, specimen
 from calibration.simulator.plan import PRESS_CYCLE_S, place_damage
 from calibration.simulator.pose import HeightField, Jitter, Pose, sample
@@ -31,6 +30,7 @@ from calibration.simulator.renderer import MASK_DEPTH_MM, Exposure, Renderer
 from calibration.simulator.scars import SCARS, Scar, mark_gel, random_scar
 from calibration.simulator.streams import Streams
 from edge import registry
+from edge.core.arrays import F32, U8, Mask
 from edge.core.binomial import rate_limits
 from edge.core.contact.mask import touched_mask
 from edge.core.contact.reference import Reference, View
@@ -43,7 +43,6 @@ from edge.core.imaging.region import Region
 from edge.core.verdict import Cause
 from edge.model.scorer import Scored, Scorer
 
-U8 = NDArray[np.uint8]
 Shares = tuple[tuple[Scar, float], ...]
 """Scars, each with the share of its full strength."""
 
@@ -182,14 +181,14 @@ class Station:
         """Score a picture; None where the part is not found."""
         return self._score(self._crop(rgb))
 
-    def passes(self, rgb: U8, masked: NDArray[np.bool_] | None = None) -> bool:
+    def passes(self, rgb: U8, masked: Mask | None = None) -> bool:
         """Judge a picture. masked: bool (h, w), places that are not judged."""
         if (scored := self.score(rgb)) is None:
             return False
         rest = scored.score_map if masked is None else np.where(masked, -np.inf, scored.score_map)
         return bool(rest.max() <= self._limit(scored))
 
-    def press(self, scored: Scored, rgb: U8, contact: NDArray[np.bool_]) -> ScoredPress:
+    def press(self, scored: Scored, rgb: U8, contact: Mask) -> ScoredPress:
         """Return the press as the gateway gives it to the record of the gel."""
         bundle, found = self.scorer.bundle, scored.registered
         x_mm, y_mm = bundle.profile.mm_per_pixel

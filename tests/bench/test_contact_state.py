@@ -28,6 +28,7 @@ from ball_frames import PROFILE
 from numpy.typing import NDArray
 from press_films import Film, Press, _pressed, random_film, series
 
+from edge.core.arrays import F32, F64, Mask
 from edge.core.contact.events import PressBegan, PressSettled
 from edge.core.contact.mask import CHANGE_LEVELS, MORPHOLOGY_SIDE, TOUCH_LEVELS
 from edge.core.contact.press_detector import PressDetector
@@ -42,7 +43,6 @@ SEEDS = range(
     int(os.environ.get("FIRST", "0")), int(os.environ.get("FILMS", "170")), int(os.environ.get("STEP", "1"))
 )
 RULES = ContactSettings()
-F64 = NDArray[np.float64]
 # The colours of a camera's picture are finer than the view.
 JPEG = (cv2.IMWRITE_JPEG_QUALITY, 97, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 # Sensor noise moves strength and texture by less, in levels over the whole view.
@@ -53,7 +53,7 @@ MOMENTS = ("touching", "pressing", "press", "deep_enough", "at_rest", "free")
 REST_SHARE = 0.1
 
 
-def _beyond(squared: F64) -> NDArray[np.bool_]:
+def _beyond(squared: F64) -> Mask:
     """Where the gel is touched: as `mask_beyond`, of squared colour distances in float64."""
     kernel = np.ones((MORPHOLOGY_SIDE, MORPHOLOGY_SIDE), np.uint8)
     far = (squared > TOUCH_LEVELS**2).astype(np.uint8)
@@ -73,7 +73,7 @@ class Truth:
     """What one frame shows: its time, what it adds to the free gel, touched area, relief, strength and texture."""
 
     t: float
-    added: NDArray[np.float32]
+    added: F32
     area: float
     relief: float
     strength: float
@@ -84,7 +84,7 @@ class Truth:
         return max(self.area, self.relief)
 
 
-def _payload(view: NDArray[np.float32], number: int) -> bytes:
+def _payload(view: F32, number: int) -> bytes:
     """A JPEG with its number as a comment: films have 48 pictures of noise, and a sensor never gives one twice."""
     jpeg = cv2.imencode(".jpg", view[..., ::-1].astype(np.uint8), JPEG)[1].tobytes()
     return jpeg[:2] + b"\xff\xfe\x00\x06" + number.to_bytes(4, "big") + jpeg[2:]

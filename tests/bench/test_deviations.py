@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 import pytest
 from ball_presses import RADIUS_MM, frames, nominal, renderer
-from numpy.typing import NDArray
 from real_balls import real_balls
 
 from calibration.sensor_fit.ball import Ball, ball_height
@@ -23,13 +22,11 @@ from calibration.simulator.field_of_view import LR
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import HeightField, Pose
 from calibration.simulator.random_parts import random_part
+from edge.core.arrays import F64, U8, Mask
 from edge.core.defects import longest_extent
 from edge.core.heights.calibration import HeightCalibration
 from edge.core.heights.deviation import Deviation, measure_deviation
 from edge.core.heights.height_map import measure_heights, part_heights
-
-F64 = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 KINDS = ("dent", "burr", "scratch", "material_loss", "impact_mark")
 _PARTS, _GOOD, _DEPTH_MM = 8, 2, 0.4
@@ -61,7 +58,7 @@ def measure(
     one = renderer()
     free = one.free_gel().astype(np.float32)
 
-    def heights(rgb: NDArray[np.uint8]) -> F64:
+    def heights(rgb: U8) -> F64:
         return part_heights(rgb.astype(np.float32) - free, made, np.ones(3))
 
     good = []

@@ -11,7 +11,6 @@ from unittest.mock import Mock
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from registered_bundle import registered
 from turned_parts import BLOCK, anywhere
 
@@ -20,6 +19,7 @@ from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import open_trunk
 from edge import registry
 from edge.clock import SystemClock
+from edge.core.arrays import U8
 from edge.core.contact.mask import Touch
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.region import Region
@@ -36,7 +36,6 @@ PRESSES = 25
 SIDE = 224
 THREADS = 2
 
-U8 = NDArray[np.uint8]
 T = TypeVar("T")
 
 

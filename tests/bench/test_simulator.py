@@ -18,8 +18,9 @@ from calibration.simulator.parts import PARTS
 from calibration.simulator.plan import recording_plan
 from calibration.simulator.pose import Pose, sample
 from calibration.simulator.record import press_frames
-from calibration.simulator.renderer import U8, Exposure, Renderer
+from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.scene import load_scene
+from edge.core.arrays import U8
 
 _PART = PARTS["PZ3"].positions["pos1"]
 _DEPTH_MM, _WORN = 0.4, 600

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import turned_parts as parts
 from command_line import Outcome, gelgate
-from numpy.typing import NDArray
 from registered_bundle import nominal as registered_presses
 from registered_bundle import registered
 from station import gel
@@ -22,6 +21,7 @@ from calibration.fitting.fit import Fitted, fit_files
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.presses.preparation import prepare_as
 from calibration.fitting.regions.drawing import draw_regions
+from edge.core.arrays import U8
 from edge.core.drawn_regions import DrawnRegion
 from edge.core.errors import FitError
 from edge.core.imaging.known_profiles import profile
@@ -33,7 +33,6 @@ from edge.model.manifest import REGION_WEIGHTS
 from edge.model.manifest_facts import promise
 from edge.model.scorer import Scorer
 
-U8 = NDArray[np.uint8]
 SENSOR = profile("cropped_lr")
 REGION = Region.centre(SENSOR.size)
 # Red, green and blue of the old gel, and of the new one in shares of them.

@@ -11,7 +11,6 @@ import pytest
 import tiny
 from command_line import gelgate, refuse_by_example
 from marker_gel import dotted, lattice, light, spread
-from numpy.typing import NDArray
 from station import gel
 from tiny_fit import config as tiny_config
 
@@ -21,6 +20,7 @@ from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.presses.preparation import prepare_presses
 from edge.clock import SystemClock
+from edge.core.arrays import U8
 from edge.core.errors import BundleCorrupt, BundleMismatch
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.known_profiles import profile
@@ -31,7 +31,6 @@ from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
 from export.merge import merged_graph
 
-U8 = NDArray[np.uint8]
 SENSOR = profile("cropped_lr")
 REGION = Region.centre(SENSOR.size)
 PLACES = lattice(SENSOR.size[::-1])

@@ -22,12 +22,13 @@ from calibration.fitting.limits.relief_step import (
 )
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
-from calibration.simulator.field_of_view import F32, LR
+from calibration.simulator.field_of_view import LR
 from calibration.simulator.pose import HeightField, sample
 from calibration.simulator.renderer import Exposure
 from calibration.simulator.reproducible_math import reproducible_opencv
 from edge import registry
 from edge.clock import SystemClock
+from edge.core.arrays import F32
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.imaging.frames import CameraFrame
 from edge.model.bundle import Bundle

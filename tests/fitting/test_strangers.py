@@ -14,10 +14,10 @@ from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.fitting.presses.strangers import find_misexposed, find_pieces, find_repeated, small_view
+from edge.core.arrays import F64, U8
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 
-U8 = NDArray[np.uint8]
 SIZE = 320, 240
 PROFILE = SensorProfile("test", SIZE, (0.0, 0.0), SIZE, 1, 15.77)
 ROWS, COLUMNS = np.mgrid[:240, :320]
@@ -26,11 +26,11 @@ DOTS = lattice((240, 320))
 
 
 @cache
-def noise_of(number: int) -> NDArray[np.float64]:
+def noise_of(number: int) -> F64:
     return np.random.default_rng(number).normal(0, 1, (240, 320, 3))
 
 
-def gel(number: int, added: float | NDArray[np.float64] = 0.0, tilt: float = 0.0) -> U8:
+def gel(number: int, added: float | F64 = 0.0, tilt: float = 0.0) -> U8:
     """The gel under a light that falls off to the sides, and what a part adds."""
     light = np.stack(
         [130 - 30 * X**2 + 20 * Y, 120 + 25 * X - 10 * X * Y, 110 - 20 * Y**2 + tilt * X], axis=-1
@@ -195,7 +195,7 @@ def test_frames_of_one_film_are_one_piece_and_are_held_out_in_stretches(tmp_path
 @pytest.mark.parametrize(
     "drift", [lambda rgb, k: rgb + k, lambda rgb, k: rgb * (1 + k / 100)], ids=["offset", "gain"]
 )
-def test_drifting_light_is_no_film(drift: Callable[[NDArray[np.int64], int], NDArray[np.float64]]) -> None:
+def test_drifting_light_is_no_film(drift: Callable[[NDArray[np.int64], int], F64]) -> None:
     """Each is nearer to the next one in its level alone: the part is held well, and only its depth differs."""
     depths = np.random.default_rng(0).uniform(25, 29, 20)
     views = [

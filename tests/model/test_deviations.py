@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 from lit_surface import MM_PER_PX, calibration, free_gel, grid, light
-from numpy.typing import NDArray
 
+from edge.core.arrays import F64
 from edge.core.contact.mask import Touch
 from edge.core.defects import find_defects
 from edge.core.heights.deviation import Deviation
@@ -19,8 +19,6 @@ from edge.core.imaging.region import Region
 from edge.core.press import JudgedFrame, Press
 from edge.core.registration.pose import Pose, PoseUncertainty, Registered
 from edge.model.deviations import DeviationMeter
-
-F64 = NDArray[np.float64]
 
 DEPTH_MM, LENGTH_MM, WIDTH_MM = 0.12, 2.0, 1.0
 

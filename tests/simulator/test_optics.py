@@ -6,10 +6,11 @@ import pytest
 
 from calibration.simulator import camera as cam
 from calibration.simulator import gel_surface, optics, sensor_appearance
-from calibration.simulator.field_of_view import F32, HR, LR, Field, grids, native_field
+from calibration.simulator.field_of_view import HR, LR, Field, grids, native_field
 from calibration.simulator.pose import Pose, contact, sample
 from calibration.simulator.renderer import Renderer
 from calibration.simulator.sensor_appearance import SENSORS
+from edge.core.arrays import F32
 
 
 def ball(radius_mm: float = 3.0, x0: float = 0.0, y0: float = 0.0):  # type: ignore[no-untyped-def]

@@ -6,18 +6,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.sensor_fit.ball import Ball, ball_height
 from calibration.simulator.effects import DEFAULT_EFFECTS
-from calibration.simulator.field_of_view import F32, LR, grids
+from calibration.simulator.field_of_view import LR, grids
 from calibration.simulator.gel import Gel
 from calibration.simulator.renderer import Renderer
 from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
 from calibration.simulator.streams import Streams
-
-U8 = NDArray[np.uint8]
+from edge.core.arrays import F32, U8
 
 RADIUS_MM = 2.0
 PLACES_MM = ((-6.0, -4.0), (0.0, -3.5), (6.0, -4.0), (-5.5, 3.5), (0.5, 0.5), (5.5, 4.0))

@@ -10,11 +10,12 @@ from random_part_presses import DEPTH_MM, RandomPartPresses
 from calibration.fitting.damage.damage import KINDS, Damage
 from calibration.fitting.damage.imprint import Station
 from calibration.simulator.defects import Damaged
-from calibration.simulator.field_of_view import F32, LR
+from calibration.simulator.field_of_view import LR
 from calibration.simulator.parts import specimen
 from calibration.simulator.plan import PRESS_CYCLE_S
 from calibration.simulator.pose import HeightField, Pose, pose_jitter, sample
 from calibration.simulator.renderer import Exposure
+from edge.core.arrays import F32
 
 
 def with_damage(part: HeightField, damage: Damage, placed: Pose) -> HeightField:

@@ -3,14 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F64, U8
 from edge.core.heights.calibration import CELLS, SIZE, HeightCalibration, place_powers, surface_terms
 from edge.core.imaging.sensor_check import colour_cells
 
 MM_PER_PX = 0.0634
-F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
 
 
 def free_gel() -> U8:

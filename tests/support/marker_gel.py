@@ -1,10 +1,8 @@
 """Pictures of a marker gel: regular dark dots over a picture, where they lie, and where shear moves them."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-U8 = NDArray[np.uint8]
-F64 = NDArray[np.float64]
+from edge.core.arrays import F64, U8
 
 APART_PX, WIDTH_PX, KEEPS = 30.0, 11.0, 0.3
 """As on real gels at 320x240: how far dots lie apart, how wide they are, and what share of the light a dot keeps."""

@@ -12,9 +12,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-F32 = NDArray[np.float32]
+from edge.core.arrays import F32
 
 RATES = (5.0, 10.0, 15.0, 18.75, 25.0, 30.0, 60.0)
 KINDS = ("steady", "steady", "hand", "slip", "double")

@@ -16,11 +16,12 @@ from calibration.fitting.damage.imprint import Station
 from calibration.fitting.fit import FitConfig
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
-from calibration.simulator.field_of_view import F32, LR
+from calibration.simulator.field_of_view import LR
 from calibration.simulator.pose import Jitter, Pose, sample
 from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from edge import registry
+from edge.core.arrays import F32
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.simulator.defects import DEFECTS
-from calibration.simulator.field_of_view import F32, LR
+from calibration.simulator.field_of_view import LR
 from calibration.simulator.parts import PARTS, specimen
 from calibration.simulator.plan import PRESS_CYCLE_S, place_damage
 from calibration.simulator.pose import FIXTURE, Jitter, Pose, pose_jitter, sample
@@ -16,6 +16,7 @@ from calibration.simulator.renderer import MASK_DEPTH_MM, Exposure, Renderer
 from calibration.simulator.scene import paper_scenes
 from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.streams import Streams
+from edge.core.arrays import F32
 
 # As most of the analogues are pressed.
 DEPTH_MM = 0.4

@@ -13,13 +13,12 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 import touch_edits
-from numpy.typing import NDArray
 from touch_edits import Edited
 
 from calibration.experiments.backbones.sets import PROFILE, REGION, EvaluationSet, Trial
 from calibration.fitting.damage.conditions import relight
 from calibration.fitting.presses.nominal_presses import MAX_NO_CONTACT, NominalPresses, gather_presses
-from calibration.simulator.field_of_view import F32
+from edge.core.arrays import F32, U8, Mask
 from edge.core.errors import DatasetError
 from edge.core.imaging.region import Region
 
@@ -36,9 +35,6 @@ __all__ = [
     "real_touch_trial",
     "touch_trial",
 ]
-
-U8 = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 SENSORS: Final[Mapping[str, Mapping[str, str]]] = {
     "real-touch": {
@@ -177,7 +173,6 @@ OBJECTS = (
     ball("ball on a DIGIT", "Rancho-zhao__FOTS/digit_ball", (".", "*.png", "../backgrounds/digit_bg.png"))[1],
 )
 """Every object of both sets."""
-
 
 ALPHA = 0.05
 EDITS = 48

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.simulator.field_of_view import F32
+from edge.core.arrays import F32, U8, Mask
 from edge.core.errors import DatasetError
 
 __all__ = [
@@ -26,9 +26,6 @@ __all__ = [
     "remove_dot",
     "without_dots",
 ]
-
-U8 = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 SIDE_PX = (10, 20)
 """Smallest and largest side of a blended piece: 0.6 to 1.3 mm on a GelSight Mini."""

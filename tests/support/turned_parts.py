@@ -8,12 +8,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F64, U8
 from edge.core.registration.pose import Pose
 
-F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
 Bumps = Sequence[tuple[float, float, float, float]]
 """Bumps of a part: x, y from its middle, radius, all in pixels, and height."""
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.experiments.backbones.sets import FORMAT, PROFILE, EvaluationSet, Trial
 from calibration.experiments.harness.markdown import markdown_table
@@ -22,6 +21,7 @@ from calibration.metrics import image_weights, interval, pixel_measures
 from calibration.metrics.summary import image_auroc_of
 from calibration.simulator.workers import in_order
 from edge import registry
+from edge.core.arrays import F32, F64, U8, Mask
 from edge.core.detector import Bank, Features, Nominal
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
 from edge.core.imaging.region import Region
@@ -48,15 +48,13 @@ PEAK_PX = 6
 
 _FALSE_ALARMS, _MORE_FALSE_ALARMS = 0.01, 0.05
 
-Float = NDArray[np.float64]
-Maps = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+Maps = F32
 
-Column = Float
+Column = F64
 """One measure: its value, then one value per bootstrap replicate."""
 
 Columns = dict[str, Column]
-Take = Callable[[NDArray[np.uint8]], Features]
+Take = Callable[[U8], Features]
 
 
 def random_trunk() -> bytes:
@@ -175,7 +173,7 @@ def _trial_columns(
     drawn = image_weights(label, replicates, np.random.default_rng(0))
     weights = np.concatenate([np.ones((1, len(label))), drawn])
 
-    def describe(maps: Maps, scores: Float) -> Columns:
+    def describe(maps: Maps, scores: F64) -> Columns:
         pixel = pixel_measures(maps[own], masks, weights, _FALSE_ALARMS)
         return {
             "image_auroc": image_auroc_of(scores[own], label, weights),
@@ -203,7 +201,7 @@ def _trial_columns(
 
 def _fit_limit(
     learner: Learner, bank: Bank, nominal: Nominal, trial: Trial, alpha: float, take: Take
-) -> tuple[float, Callable[[Maps], Float] | None]:
+) -> tuple[float, Callable[[Maps], F64] | None]:
     """Fit limits of these presses as `gelgate fit` does without options; their features are not taken again.
 
     Returns that of the raw scores, and what relates maps to another limit if a fit would choose it. Errors: FitError.
@@ -243,7 +241,7 @@ def _is_near(one: Maps, mask: Mask) -> bool:
     return bool(away[row, column] <= PEAK_PX)
 
 
-def limit_columns(limit: float, trial: Trial, maps: Maps, scores: Float, weights: Float) -> Columns:
+def limit_columns(limit: float, trial: Trial, maps: Maps, scores: F64, weights: F64) -> Columns:
     """Count shares of the trial's frames at a limit, each (weightings,).
 
     weights: float64 (weightings, own presses). `detected` and `peak_found` are shares of the edits, `false_alarms` of
@@ -255,11 +253,11 @@ def limit_columns(limit: float, trial: Trial, maps: Maps, scores: Float, weights
     own = trial.is_own
     damaged: Mask = np.asarray(trial.masks[own].any(axis=(1, 2)), np.bool_)
 
-    def share(flags: Mask, chosen: Mask) -> Float:
+    def share(flags: Mask, chosen: Mask) -> F64:
         of = weights[:, chosen]
         return np.asarray((of @ flags[chosen]) / of.sum(axis=1), np.float64)
 
-    def alone(value: float) -> Float:
+    def alone(value: float) -> F64:
         return np.concatenate([[value], np.full(len(weights) - 1, np.nan)])
 
     columns = {

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.simulator import parts as analogues
-from calibration.simulator.field_of_view import F32, LR
+from calibration.simulator.field_of_view import LR
 from calibration.simulator.plan import PressPlan, dataset_plan, place_damage
 from calibration.simulator.pose import HeightField, Pose, sample
 from calibration.simulator.random_parts import random_part
@@ -27,6 +27,7 @@ from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.scene import Defects, NominalPieces, Scene, paper_scenes
 from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.streams import Streams
+from edge.core.arrays import F32
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 

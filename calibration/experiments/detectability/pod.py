@@ -24,9 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special
 
+from edge.core.arrays import F64
+
 __all__ = ["MIN_TRIALS", "Pod", "State", "fit_pod"]
 
-F64 = NDArray[np.float64]
 State = Literal["fitted", "separated", "blind", "too few"]
 
 MIN_TRIALS = 4

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from edge.core.arrays import F64, Mask
 from edge.core.binomial import rate_limits
 
 __all__ = [
@@ -94,7 +95,7 @@ def count_shares(decisions: Words, known: Sequence[str] | None) -> Shares:
     )
 
 
-def _share(flags: NDArray[np.bool_]) -> Share:
+def _share(flags: Mask) -> Share:
     return Share(int(flags.sum()), flags.size)
 
 
@@ -128,8 +129,6 @@ def _kappa(observed: float, expected: float, variance: float, n: int) -> Kappa:
     error = math.sqrt(max(0.0, variance) / n) / (1 - expected)
     return Kappa((observed - expected) / (1 - expected), observed, expected, error)
 
-
-F64 = NDArray[np.float64]
 
 # Above this probability the interaction is pooled with the error: AIAG's table tests at 0.05; a larger level keeps an
 # interaction that may be real, as ASTM E2782 advises.

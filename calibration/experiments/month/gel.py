@@ -11,12 +11,13 @@ from calibration.experiments.month.plan import DEPTH_MM, Month, PlannedPress
 from calibration.simulator.camera import CAMERA_QUALITY, encode_jpeg
 from calibration.simulator.defects import Damaged
 from calibration.simulator.effects import DEFAULT_EFFECTS
-from calibration.simulator.field_of_view import F32, LR
+from calibration.simulator.field_of_view import LR
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import HeightField, Pose, sample
-from calibration.simulator.renderer import U8, Exposure, Renderer
+from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.scars import Scar, mark_gel
 from calibration.simulator.sensor_appearance import SENSORS, another_gel
+from edge.core.arrays import F32, U8
 
 __all__ = ["FRAME_S", "MountedGel"]
 

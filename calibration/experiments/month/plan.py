@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calibration.simulator import reproducible_math
 from calibration.simulator.defects import DEFECTS, Defect
-from calibration.simulator.field_of_view import F32, LR, grids
+from calibration.simulator.field_of_view import LR, grids
 from calibration.simulator.parts import specimen
 from calibration.simulator.plan import place_damage
 from calibration.simulator.pose import HeightField, Pose, sample
@@ -24,6 +24,7 @@ from calibration.simulator.renderer import MASK_DEPTH_MM
 from calibration.simulator.scars import Scar, grain, random_scar
 from calibration.simulator.shapes import f32
 from calibration.simulator.streams import Streams
+from edge.core.arrays import F32
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
 __all__ = ["DAYS", "DEPTH_MM", "FULL", "NOMINAL", "SETS", "Month", "PlannedPress"]

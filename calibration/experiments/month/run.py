@@ -23,9 +23,9 @@ from calibration.fitting.learn_command import learn
 from calibration.fitting.options import DEFAULT_METHOD
 from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
-from calibration.simulator.renderer import U8
 from calibration.simulator.reproducible_math import reproducible_opencv
 from edge import registry
+from edge.core.arrays import U8
 from edge.core.errors import GelgateError
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region

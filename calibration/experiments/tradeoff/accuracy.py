@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from calibration.metrics import interval, pixel_measures
 from calibration.metrics.summary import image_auroc_of, recall_at
+from edge.core.arrays import F32, F64, Mask
 
 __all__ = ["MEASURES", "Truth", "measure_accuracy"]
 
@@ -18,23 +19,21 @@ FALSE_ALARMS: Final = 0.01
 MEASURES: Final = ("aupro_fpr01", "pixel_auprc", "image_auroc", "recall_fpr01")
 """AU-PRO, AUPRC of pixels, AUROC of presses, and recall of presses."""
 
-Float = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Truth:
     """What is known of the scored presses."""
 
-    label: NDArray[np.bool_]
-    masks: Sequence[NDArray[np.bool_]]
+    label: Mask
+    masks: Sequence[Mask]
     """bool (h, w) each."""
-    weights: Float
+    weights: F64
     """float64 (replicates + 1, presses), the first row ones, then how often each press counts in a replicate drawn by
     piece."""
 
 
 def measure_accuracy(
-    maps: Sequence[NDArray[np.float32]], scores: NDArray[np.floating[Any]], truth: Truth
+    maps: Sequence[F32], scores: NDArray[np.floating[Any]], truth: Truth
 ) -> dict[str, dict[str, float | None]]:
     """Each measure with its value and the 95 % interval, low and high; None where it is undefined."""
     pixel = pixel_measures(maps, truth.masks, truth.weights, FALSE_ALARMS)

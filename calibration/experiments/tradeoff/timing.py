@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from calibration.experiments.tradeoff.front import WAITED
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint, View
 from calibration.simulator.camera import CAMERA_QUALITY, encode_jpeg
+from edge.core.arrays import F64, U8
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
 from edge.model.bundle import Bundle
@@ -26,20 +27,18 @@ from edge.model.session import TrunkSessions
 
 __all__ = ["Lane", "Samples", "Score", "bundle_lanes", "camera_frames", "measure_rounds"]
 
-Float = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Samples:
     """Milliseconds."""
 
-    stages: Float
+    stages: F64
     """float64 (stages, rounds, points)."""
     groups: NDArray[np.int64]
     """Per stage an id for each point, int64 (stages, points); points with equal ids did the same work."""
 
 
-Score = Callable[[NDArray[np.uint8]], tuple[float, float]]
+Score = Callable[[U8], tuple[float, float]]
 """Scores a region, uint8 (h, w, 3); returns the milliseconds of trunk and head."""
 
 
@@ -78,7 +77,7 @@ def bundle_lanes(
     return lanes
 
 
-def _score(scorer: Scorer, rgb: NDArray[np.uint8]) -> tuple[float, float]:
+def _score(scorer: Scorer, rgb: U8) -> tuple[float, float]:
     """Score as the gateway does."""
     scored = scorer.score(rgb)
     return scored.trunk_ms, scored.head_ms
@@ -118,7 +117,7 @@ def _groups(lanes: Sequence[Lane]) -> NDArray[np.int64]:
     return np.array([[list(dict.fromkeys(keys)).index(key) for key in keys] for keys in by_stage], np.int64)
 
 
-def camera_frames(view: View, pictures: NDArray[np.uint8]) -> list[CameraFrame]:
+def camera_frames(view: View, pictures: U8) -> list[CameraFrame]:
     """Frames as the sensor would send them: the region's pixels (n, h, w, 3) put back into the camera's size.
 
     What lies outside the region is the region's mean colour, so a frame is slightly smaller than a real one.
@@ -129,7 +128,7 @@ def camera_frames(view: View, pictures: NDArray[np.uint8]) -> list[CameraFrame]:
     ]
 
 
-def _in_camera(view: View, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _in_camera(view: View, rgb: U8) -> U8:
     (width, height), region = view.profile.size, view.region
     picture = np.full((height, width, 3), rgb.mean(axis=(0, 1)).astype(np.uint8), np.uint8)
     picture[region.y : region.y + region.height, region.x : region.x + region.width] = rgb

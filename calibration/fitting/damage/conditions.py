@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 
 from calibration.fitting.damage.rendering import EditedPress, edit_touching
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.simulator.field_of_view import F32
+from edge.core.arrays import F32, U8
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 
 __all__ = ["ChangedPresses", "change_presses", "dim", "relight", "weaken"]
-
-U8 = NDArray[np.uint8]
 
 SMOOTHED_MM = (0.2, 0.4)
 """Standard deviations over which the surface of a smoother object is averaged: a texture of half a millimetre is gone

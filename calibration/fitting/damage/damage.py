@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.simulator.defects import DENT_DEPTH_MM, SCRATCH_DEPTH_MM, Damaged, Defect
-from calibration.simulator.field_of_view import F32, Field, grids
+from calibration.simulator.field_of_view import Field, grids
+from edge.core.arrays import F32
 
 __all__ = ["KINDS", "Damage", "Spot", "surroundings"]
 

@@ -11,13 +11,11 @@ from calibration.fitting.damage.damage import KINDS, Damage, Spot, surroundings
 from calibration.fitting.damage.rendering import EditedPress, edit_touching
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.simulator.field_of_view import grids
+from edge.core.arrays import U8, Mask
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 
 __all__ = ["DamagedPresses", "render_damage"]
-
-U8 = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 SIZE_SHARES = (1 / 16, 1 / 8, 1 / 4)
 """Of a kind's largest size: dents of 0.025 to 0.1 mm, about the smallest that the shipped backbone shows."""

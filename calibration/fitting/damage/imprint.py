@@ -9,18 +9,16 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.simulator import camera, optics, sensor_appearance
 from calibration.simulator.camera import NOISE_SD
-from calibration.simulator.field_of_view import F32, Field
+from calibration.simulator.field_of_view import Field
 from calibration.simulator.gel import GEL
+from edge.core.arrays import F32, U8
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 
 __all__ = ["Station"]
-
-U8 = NDArray[np.uint8]
 
 # Noise and grain are smoothed over one pixel of 320x240 before slopes are taken.
 _SMOOTH_MM = 0.0634

@@ -10,22 +10,20 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.damage.damage import Damage
 from calibration.fitting.damage.imprint import Station
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.simulator import gel
 from calibration.simulator.camera import NOISE_SD, jpeg
-from calibration.simulator.field_of_view import F32, grids
+from calibration.simulator.field_of_view import grids
 from calibration.simulator.renderer import MASK_DEPTH_MM
+from edge.core.arrays import F32, U8, Mask
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.imaging.smoothing import smooth
 
 __all__ = ["EditedPress", "compress", "edit_touching", "is_compressed"]
-
-U8 = NDArray[np.uint8]
 
 # Compression with halved colour has blocks of 16 pixels; the picture continues beyond the region at least this far.
 _BLOCK = 16
@@ -97,7 +95,7 @@ class EditedPress:
         return self.station.surface(self.rgb)
 
     @cached_property
-    def contact(self) -> NDArray[np.bool_]:
+    def contact(self) -> Mask:
         """The places where the part touches the gel, bool (h, w): damage shows nowhere else. None for noise alone."""
         height = float(np.percentile(self.surface, _HIGHEST_PERCENT))
         if height < MASK_DEPTH_MM:

@@ -19,18 +19,16 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.limits.appended import find_obstacle
 from calibration.fitting.limits.held_out import HeldOut, ScoredPresses, ShownPresses
 from calibration.fitting.limits.limit_choice import WORTH, Choice, Evidence, choose_limit
 from calibration.fitting.limits.map_limit import PLAIN
+from edge.core.arrays import F32, F64
 from edge.core.registration.pose import GEL_LIMIT_STEPS, Registered, gel_limits_in_pose, warp
 from edge.core.registration.registrar import PartInPose
 
 __all__ = ["LimitsChosen", "choose_limits", "learn_gel_limits"]
-
-F32 = NDArray[np.float32]
 
 # Chosen on three real balls of the development sensors, one gel with cuts and one without, and a simulated edge, each
 # divided anew into learnt and held-out presses. A cell of the deepest tap is a millimetre: as far the end of the view
@@ -94,7 +92,7 @@ class LimitsChosen:
         return 1.0 if self.gel_limits is None else float(self.gel_limits.max())
 
     @property
-    def scores(self) -> NDArray[np.float64]:
+    def scores(self) -> F64:
         """Scores of the nominal presses, in units of the bundle's score, (n,)."""
         return self.choice.other.scores if self.choice.other else self.evidence.scores
 

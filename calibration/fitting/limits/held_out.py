@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.presses.augmentation import Copies
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from edge.core.arrays import F32, F64, U8, Mask
 from edge.core.detector import Bank, Detector, Features, Grid, Nominal, Progress
 from edge.core.errors import FitError
 from edge.core.registration.pose import Registered
@@ -35,8 +36,6 @@ __all__ = [
     "is_covered",
     "score_held_out",
 ]
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,15 +56,15 @@ class ShownPresses:
 class ScoredPresses:
     """What banks show of n presses."""
 
-    maps: NDArray[np.float32]
+    maps: F32
     """Raw score maps, (n, h, w)."""
-    scores: NDArray[np.float64]
+    scores: F64
     """Anomaly scores, (n,)."""
-    head_ms: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    head_ms: F64 = field(default_factory=lambda: np.empty(0))
     """What the head took for each, (n,), or none."""
     seen: Mask | None = None
     """The places that count, (n, h, w); None for all."""
-    gel_limits: NDArray[np.float32] | None = None
+    gel_limits: F32 | None = None
     """By what these places are divided, (n, h, w); None for nothing."""
 
     def weigh(self, maps: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -75,7 +74,7 @@ class ScoredPresses:
             weighed if self.seen is None else np.where(self.seen, weighed, weighed.min((1, 2), keepdims=True))
         )
 
-    def highest(self, maps: NDArray[np.floating]) -> NDArray[np.float64]:
+    def highest(self, maps: NDArray[np.floating]) -> F64:
         """Return the highest value that counts of these maps of the presses, (n,)."""
         return np.asarray(self.weigh(maps).max(axis=(1, 2)), np.float64)
 
@@ -216,7 +215,7 @@ class TapReader:
         self._session, self._threads = open_session(graph, threads, name), threads
         self.grid = trunk_grid(self._session, taps, frame, pixels_per_mm)
 
-    def take(self, frames: NDArray[np.uint8], progress: Progress = lambda fraction: None) -> Features:
+    def take(self, frames: U8, progress: Progress = lambda fraction: None) -> Features:
         """Return every tap of frames, uint8 (n, h, w, 3)."""
         return extract(self._session, frames, self.grid, progress)
 
@@ -255,7 +254,7 @@ class Covered:
     """The nominal presses by the bank, which knows them; None where no threshold is wanted."""
 
     @property
-    def scores(self) -> NDArray[np.float64] | None:
+    def scores(self) -> F64 | None:
         """Scores of the nominal presses, (n,), for the threshold."""
         if self.held_out is None or self.known is None:
             return None
@@ -266,7 +265,7 @@ def covering_bank(
     learner: Learner,
     nominal: Nominal,
     learn: Callable[[Nominal], tuple[Bank, HeldOut | None]],
-    find_threshold: Callable[[NDArray[np.float64]], float],
+    find_threshold: Callable[[F64], float],
     shown: ShownPresses | None = None,
 ) -> Covered:
     """Learn a bank with the least room in which it covers the presses.
@@ -295,7 +294,7 @@ def covering_bank(
     )
 
 
-def is_covered(known: NDArray[np.float64], held_out: NDArray[np.float64], threshold: float) -> bool:
+def is_covered(known: F64, held_out: F64, threshold: float) -> bool:
     """Tell whether few nominal presses fail with the final bank, and in the median they do not score higher with it.
 
     known, held_out: their scores with the final bank and with banks without them, (n,) each. threshold: from the

@@ -27,13 +27,12 @@ from calibration.fitting.limits.map_limit import (
     relate,
 )
 from calibration.fitting.limits.threshold import conformal_threshold, pieces_of
+from edge.core.arrays import F64, Mask
 from edge.core.press_again import KnownScores
 from edge.model.again_facts import PRESS_AGAIN, score_facts
 from edge.model.manifest import ThresholdEntry
 
 __all__ = ["WORTH", "Choice", "DamageFound", "Evidence", "choose_limit"]
-
-Float = NDArray[np.float64]
 
 WORTH = 0.05
 """A limit has to find this share of the rendered damage more than the usual one."""
@@ -49,11 +48,11 @@ class OtherLimit:
     limit: Limit
     threshold: ThresholdEntry
     """At 1."""
-    scores: Float
+    scores: F64
     """Scores of the nominal presses in units of the limit, (n,)."""
-    damaged: Float
+    damaged: F64
     """Scores of the presses with rendered damage, (m,)."""
-    is_found: NDArray[np.bool_]
+    is_found: Mask
     """Of that damage what lies above the limit, (m,)."""
 
 
@@ -102,7 +101,7 @@ class Evidence:
     pixels_per_mm: float
 
     @property
-    def scores(self) -> Float:
+    def scores(self) -> F64:
         """Scores of the nominal presses by the plain limit, (n,)."""
         return np.maximum(self.held_out.sound.scores, self.known.scores)
 
@@ -115,12 +114,12 @@ class Evidence:
         sound = self.held_out.sound
         return bool(np.allclose(sound.highest(sound.maps), sound.scores, rtol=_SAME, atol=0))
 
-    def find_damage(self, exceeds: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def find_damage(self, exceeds: Mask) -> Mask:
         """Return the rendered damage on which a map exceeds its limit, bool (m,). exceeds: bool (m, h, w)."""
         return np.asarray((exceeds & self.damage.masks).any(axis=(1, 2)))
 
     @cached_property
-    def is_found_plainly(self) -> NDArray[np.bool_]:
+    def is_found_plainly(self) -> Mask:
         """The rendered damage that the plain limit finds, (m,)."""
         edited = self.held_out.edited
         if not self.is_score_a_maximum:
@@ -160,7 +159,7 @@ class Evidence:
             specimens=[self.specimens[k] for k in presses],
         )
 
-    def press_again_facts(self, choice: Choice, scores: Float) -> dict[str, Any]:
+    def press_again_facts(self, choice: Choice, scores: F64) -> dict[str, Any]:
         """Return what a station needs to know whether one more press pays.
 
         scores: of the nominal presses, in units of the bundle's score.

@@ -23,6 +23,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F64
 from plugins.detectors.common.smoothing import gaussian_matrix, upsampling_matrix
 
 __all__ = [
@@ -37,10 +38,9 @@ __all__ = [
     "relate",
 ]
 
-Float = NDArray[np.float64]
 Maps = NDArray[np.floating]
 
-Limit = Mapping[str, Float]
+Limit = Mapping[str, F64]
 """A limit as the arrays of a bank. Columns are transposed: they multiply from the right."""
 
 PLAIN, SURROUNDINGS = "plain", "surroundings"
@@ -75,7 +75,7 @@ def make_limit(window: Limit, limit: float, plain: float) -> Limit:
     return {"limit_grid": np.full((1, 1), limit), "limit_guard": np.full((1, 1), GUARD * plain), **window}
 
 
-def relate(limit: Limit, maps: Maps) -> Float:
+def relate(limit: Limit, maps: Maps) -> F64:
     """Return raw maps (n, h, w) in units of the limit, float64."""
     grid = limit["limit_grid"]
     if "limit_rows" in limit:  # cells of places, interpolated to pixels
@@ -84,7 +84,7 @@ def relate(limit: Limit, maps: Maps) -> Float:
     return np.asarray(np.maximum(relative, maps / limit["limit_guard"]), np.float64)
 
 
-def find_contrast(limit: Limit, maps: Maps) -> Float:
+def find_contrast(limit: Limit, maps: Maps) -> F64:
     """Divide raw maps by their surroundings, where the limit has a window."""
     raw = np.asarray(maps, np.float64)
     if "limit_window_up_rows" not in limit:
@@ -96,7 +96,7 @@ def find_contrast(limit: Limit, maps: Maps) -> Float:
     return np.asarray(raw / (np.maximum(around, 0) + limit["limit_usual"]))
 
 
-def _window(sigma: float, frame: tuple[int, ...]) -> list[tuple[Float, Float]]:
+def _window(sigma: float, frame: tuple[int, ...]) -> list[tuple[F64, F64]]:
     """Make a Gaussian window over maps of (h, w), whose cells are about as wide as its standard deviation in pixels.
 
     For each axis the matrices that average, (cells, pixels), and that interpolate, (pixels, cells).
@@ -108,7 +108,7 @@ def _window(sigma: float, frame: tuple[int, ...]) -> list[tuple[Float, Float]]:
     ]
 
 
-def _sample_middles(blur: Float, cells: int) -> Float:
+def _sample_middles(blur: F64, cells: int) -> F64:
     """Sample a blur (pixels, pixels) at the middle of each cell, between two pixels where the middle lies there."""
     pixels = len(blur)
     middle = (np.arange(cells) + 0.5) * pixels / cells - 0.5

@@ -33,6 +33,7 @@ from calibration.fitting.limits.folds import Folds
 from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.presses.augmentation import Take
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from edge.core.arrays import F64, Mask
 from edge.core.detector import Bank, Grid, Nominal
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
@@ -51,7 +52,6 @@ __all__ = [
     "try_relief",
 ]
 
-Float = NDArray[np.float64]
 Floating = NDArray[np.floating]
 
 Relief = Mapping[str, NDArray[Any]]
@@ -72,16 +72,16 @@ _TINY = 1e-12
 class Pooled:
     """Presses over their contact."""
 
-    means: Float
+    means: F64
     """Mean features, float64 (n, channels)."""
-    contact: Float
+    contact: F64
     """Cells in contact, float64 (n,)."""
 
-    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> "Pooled":
+    def __getitem__(self, rows: Mask | NDArray[np.int64]) -> "Pooled":
         return Pooled(self.means[rows], self.contact[rows])
 
 
-def contact_of(features: Floating, free: Float, level: float) -> Float:
+def contact_of(features: Floating, free: F64, level: float) -> F64:
     """Return how much each cell touches, 0 to 1, float64 (n, h, w).
 
     features: (n, channels, h, w). free: those of the free gel, (channels, 1, 1).
@@ -90,7 +90,7 @@ def contact_of(features: Floating, free: Float, level: float) -> Float:
     return np.asarray(np.clip(distance / level - 0.5, 0, 1))
 
 
-def pool(features: Floating, free: Float, level: float) -> Pooled:
+def pool(features: Floating, free: F64, level: float) -> Pooled:
     """Pool the presses' features (n, channels, h, w), averaged over what touches; press by press, for their size."""
     means, contact = np.zeros(features.shape[:2]), np.zeros(len(features))
     for k, one in enumerate(features):
@@ -100,7 +100,7 @@ def pool(features: Floating, free: Float, level: float) -> Pooled:
     return Pooled(means, contact)
 
 
-def find_missing(relief: Relief, features: Floating) -> Float:
+def find_missing(relief: Relief, features: Floating) -> F64:
     """Return how much relief is missing from features (n, channels, h, w), float64 (n,), 1 at the limit."""
     presses = pool(features, relief["relief_free"], float(relief["relief_level"].item()))
     lack = presses.means @ relief["relief_weights"][0, :, 0, 0] + relief["relief_middle"]
@@ -109,7 +109,7 @@ def find_missing(relief: Relief, features: Floating) -> Float:
     return np.asarray(np.maximum(smooth, (_FAINT + 1) * weakest / (_FAINT * presses.contact + weakest)))
 
 
-def map_missing(relief: Relief, features: Floating) -> Float:
+def map_missing(relief: Relief, features: Floating) -> F64:
     """Map where relief is missing, in units of the bundle's scores, float64 (n, h, w); 0 where little is."""
     touch = contact_of(features, relief["relief_free"], float(relief["relief_level"].item()))
     lack = np.einsum("nchw,c->nhw", features.astype(np.float64), relief["relief_weights"][0, :, 0, 0])
@@ -238,10 +238,10 @@ class _HeldOut:
     """Roughness by directions learnt without the press, 0 in the middle; of nominal ones the lower of that and of the
     final direction's, which knows them."""
 
-    nominal: Float
+    nominal: F64
     """Values of nominal presses, (n,)."""
-    same: Float
-    smoother: Float
+    same: F64
+    smoother: F64
     """As `same`, of changed presses, (kinds, m)."""
 
     @property
@@ -256,15 +256,15 @@ class _HeldOut:
 class _Evidence:
     """Everything pooled over the contact."""
 
-    free: Float
+    free: F64
     level: float
-    expected: Float
+    expected: F64
     nominal: Pooled
     press: NDArray[np.int64]
     """Which nominal press each changed one was, (m,)."""
     same: tuple[Pooled, ...]
     smoother: tuple[Pooled, ...]
-    cells: Float
+    cells: F64
     """The scatter of single touched cells, (channels, channels)."""
 
     @classmethod
@@ -299,12 +299,12 @@ class _Evidence:
         known = self.roughness(self.nominal, self.direction(np.arange(len(nominal))))
         return _HeldOut(np.minimum(nominal, known), same, smoother)
 
-    def roughness(self, presses: Pooled, direction: tuple[Float, float]) -> Float:
+    def roughness(self, presses: Pooled, direction: tuple[F64, float]) -> F64:
         weights, middle = direction
         shown = presses.contact / (presses.contact + self.weakest)
         return np.asarray((presses.means @ weights - middle) * shown)
 
-    def direction(self, known: NDArray[np.int64]) -> tuple[Float, float]:
+    def direction(self, known: NDArray[np.int64]) -> tuple[F64, float]:
         """Weights (channels,) and the median of the known presses by them: higher is rougher."""
         usual = _USUAL_SHARE * np.median(self.nominal.contact)
         rows = np.isin(self.press, known) & (self.nominal.contact[self.press] > usual)
@@ -325,7 +325,7 @@ class _Evidence:
         return weights, float(np.median(means @ weights))
 
 
-def _touched_cells(maps: Floating, free: Float, level: float) -> Float:
+def _touched_cells(maps: Floating, free: F64, level: float) -> F64:
     """Features of cells in the middle of a contact, float64 (k, channels)."""
     most = max(1, _MOST_CELLS // len(maps))
     found = []
@@ -335,5 +335,5 @@ def _touched_cells(maps: Floating, free: Float, level: float) -> Float:
     return np.concatenate(found).astype(np.float64)
 
 
-def _scatter(rows: Float) -> Float:
+def _scatter(rows: F64) -> F64:
     return np.asarray(rows.T @ rows / max(len(rows) - 1, 1))

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.damage.damaged_presses import SIZE_SHARES, DamagedPresses, render_damage
 from calibration.fitting.limits.held_out import HeldOut, Learner, ShownPresses
@@ -22,6 +21,7 @@ from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.strangers import list_names
 from calibration.fitting.self_check import AT_CHANCE, may_compare
 from calibration.metrics import auroc
+from edge.core.arrays import F64, U8
 from edge.core.detector import Nominal
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
@@ -32,8 +32,6 @@ from edge.core.registration.registrar import PartInPose, Registrar, find_relief
 from edge.model.tile_runner import most_typical
 
 __all__ = ["PoseChoice", "Register", "choose_pose"]
-
-U8 = NDArray[np.uint8]
 
 Register = Literal["auto", "never", "always"]
 
@@ -302,6 +300,6 @@ def _auroc(learner: Learner, take: Take, nominal: U8, sound: U8, damaged: U8) ->
     return _separate(sound_scores, damaged_scores), _separate(sound_scores, damaged_scores[-largest:])
 
 
-def _separate(sound: NDArray[np.float64], damaged: NDArray[np.float64]) -> float:
+def _separate(sound: F64, damaged: F64) -> float:
     """Measure the AUROC of scores; 0 where there are none."""
     return auroc(np.concatenate([sound, damaged]), np.arange(len(sound) + len(damaged)) >= len(sound)) or 0.0

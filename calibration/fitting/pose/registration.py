@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64, U8, Mask
 from edge.core.errors import FitError
 from edge.core.registration.coarse import CoarseSearch
 from edge.core.registration.colours import FreeLight, SlopeColours, curl_share
@@ -31,11 +31,6 @@ from edge.core.registration.registrar import (
 )
 
 __all__ = ["LearntPose", "completed", "in_pose_of", "keep_pose", "learn_pose"]
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 _MOST_ROUNDS = 8
 # So many presses find the common pose, evenly spread over all: rounds take most of the time of a fit, and of six real

@@ -8,11 +8,9 @@ from numpy.typing import NDArray
 
 from calibration.fitting.pose.registration import LearntPose
 from calibration.fitting.presses.strangers import list_names
+from edge.core.arrays import F32, F64, Mask
 
 __all__ = ["find_two_parts"]
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 
 _BLUR_PX, _SIDE_PX = 2.0, 56
 # Places where the part shows at least this share of its strongest relief.
@@ -55,7 +53,7 @@ def _shrink(picture: NDArray[np.generic]) -> F32:
     return np.asarray(cv2.resize(blurred, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _find_amounts(views: F32, seen: NDArray[np.bool_]) -> F64:
+def _find_amounts(views: F32, seen: Mask) -> F64:
     """Find how much of what presses differ in most each of them shows, levels (n,).
 
     views: (n, places, 3), by places that each press shows, bool (n, places). The first principal component, by the

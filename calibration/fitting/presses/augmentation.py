@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
+from edge.core.arrays import F32, U8
 from edge.core.detector import Features, Mode, Nominal
 from edge.core.errors import FitError
 from edge.core.printable import write_count
@@ -25,9 +26,6 @@ from edge.core.registration.pose import Pose
 from edge.model.manifest_facts import AUGMENTATION
 
 __all__ = ["FEW", "Augment", "Augmentation", "Copies", "Take", "plan_copies", "render_copies"]
-
-U8 = NDArray[np.uint8]
-F32 = NDArray[np.float32]
 
 Take = Callable[[U8], Features]
 """The features of frames, uint8 (n, h, w, 3)."""

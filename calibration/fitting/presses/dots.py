@@ -6,7 +6,6 @@ They are looked for on the free gel, and where it is not known in the presses.
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.presses.free_gel import find_common_dots
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
@@ -14,8 +13,6 @@ from calibration.fitting.presses.strangers import list_names
 from edge.core.imaging.marker_dots import MarkerDots, find_marker_dots, shows_marker_dots
 
 __all__ = ["fill_dots", "take_out_dots"]
-
-U8 = NDArray[np.uint8]
 
 
 def take_out_dots(presses: NominalPresses, pixels_per_mm: float) -> NominalPresses:

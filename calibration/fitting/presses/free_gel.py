@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64, U8, Mask
 from edge.core.contact.mask import imprint_strength, squared_distance, touched_mask
 from edge.core.contact.reference import Reference, View, fit_levels
 from edge.core.contact.relief import fine_structure
@@ -22,10 +22,6 @@ from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.marker_dots import MarkerDots, find_marker_dots
 
 __all__ = ["FreeGel", "estimate_free_gel", "find_common_dots", "measure_strengths", "view_of"]
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
 
 # Presses that must show dots, and how alike these are.
 _WITNESSES, _ALIKE = 5, 0.2
@@ -86,8 +82,6 @@ def _move_back(dots: MarkerDots, rgb: U8, shifts: F64) -> F32:
     )
     return np.asarray(moved, np.float32)
 
-
-Mask = NDArray[np.bool_]
 
 MOST_PRESSES, _FEW_PRESSES, _PRESSES_PX = 48, 12, 48 * 320 * 240
 """Of more presses as many are taken, evenly spread, and of large pictures fewer, for the time that it takes."""
@@ -302,18 +296,18 @@ def _median_of_free(pictures: Sequence[U8], views: Sequence[View], gel: F32) -> 
     return found
 
 
-def _terms(shape: tuple[int, ...]) -> NDArray[np.float64]:
+def _terms(shape: tuple[int, ...]) -> F64:
     """Return the polynomial's terms at each pixel of (h, w), (h, w, terms)."""
     y, x = ((np.arange(size) + 0.5) / size * 2 - 1 for size in shape[:2])
     powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
     return np.asarray(np.stack([np.multiply.outer(y**j, x**i) for i, j in powers], axis=-1), np.float64)
 
 
-def _light(weights: NDArray[np.float64], shape: tuple[int, ...]) -> F32:
+def _light(weights: F64, shape: tuple[int, ...]) -> F32:
     return np.asarray(_terms(shape) @ weights, np.float32)
 
 
-def _fit_light(view: View) -> NDArray[np.float64]:
+def _fit_light(view: View) -> F64:
     """Fit the polynomial, (terms, 3), to what is not touched, from the rim or everywhere: what explains more."""
     terms = _terms(view.shape)[::2, ::2]
     terms, levels = terms.reshape(-1, terms.shape[-1]), view[::2, ::2].reshape(-1, 3).astype(np.float64)

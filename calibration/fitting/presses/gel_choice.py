@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.presses.colours import CELLS
 from calibration.fitting.presses.free_gel import MOST_PRESSES, FreeGel, estimate_free_gel, view_of
+from edge.core.arrays import F64, U8, Mask
 from edge.core.contact.mask import Touch, touched, touched_mask
 from edge.core.contact.reference import Reference
 from edge.core.contact.relief import ReliefOfReference, with_relief
@@ -23,8 +23,6 @@ from edge.core.imaging.sensor_profile import SensorProfile
 
 __all__ = ["MIN_PRESSES", "SCATTERED_MM", "away_mm", "choose_free_gel", "contact_finder", "spread_mm"]
 
-U8 = NDArray[np.uint8]
-
 MIN_PRESSES = 4
 """Presses that a threshold needs: a fold then keeps three. Of two or one there is no covariance and no spread between
 presses, and the fold's scores have another scale than the bank's: with two presses PaDiM's threshold was 30 times the
@@ -34,7 +32,6 @@ SCATTERED_MM = 3.0
 """Presses whose contacts scatter more have no common place. Measured: up to 1.8 mm on simulated parts placed by hand,
 where their contacts are wide and shallow; 4.2 mm and more on balls pressed anywhere, where methods that compare places
 find a fifth of the damage that inreach finds."""
-
 
 # Of the light, between the free gel and the mean press by coarse colours: right pictures differ by 0.8 to 7.2 % on 14
 # sets, those of other units by 2 to 14 %, of other sensors by 39 % and more.
@@ -57,7 +54,7 @@ class ChosenGel:
 class Contact(NamedTuple):
     """Where a press touches, bool (120, 160), and the share of the view with an imprint's structure."""
 
-    mask: NDArray[np.bool_]
+    mask: Mask
     relief: float
 
 
@@ -141,7 +138,7 @@ def spread_mm(touches: Sequence[Touch], profile: SensorProfile) -> float:
     return float(np.median(away_mm(touches, profile)))
 
 
-def away_mm(touches: Sequence[Touch], profile: SensorProfile) -> NDArray[np.float64]:
+def away_mm(touches: Sequence[Touch], profile: SensorProfile) -> F64:
     """Measure how far each contact lies from their common middle, (n,)."""
     middles = np.array([(touch.x, touch.y) for touch in touches]) * profile.size / profile.pixels_per_mm
     return np.asarray(np.linalg.norm(middles - np.median(middles, axis=0), axis=1))

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.presses.free_gel import view_of
+from edge.core.arrays import F32, F64, U8, Mask
 from edge.core.contact.mask import squared_distance, touched
 from edge.core.contact.reference import fit_levels
 from edge.core.contact.settings import ContactSettings
@@ -22,9 +22,6 @@ __all__ = [
     "list_names",
     "small_view",
 ]
-
-U8 = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 _FEWEST, _WITNESSES = 3, 16
 # In levels, in the median over the view, and times the usual distance to the nearest press. That distance is 1.8 to 4.0
@@ -176,7 +173,7 @@ def _measure_sharpness(view: U8) -> float:
     return float(np.log((fine[steep].mean() + _LEAST_GRAIN) / (broad[steep].mean() + _LEAST_GRAIN)))
 
 
-def _slope_energy(levels: NDArray[np.float32]) -> NDArray[np.float32]:
+def _slope_energy(levels: F32) -> F32:
     """Sum the squared slopes over the colours, levels squared per pixel squared, float32 (h, w)."""
     slopes = (cv2.Sobel(levels, cv2.CV_32F, *axis, ksize=3, scale=1 / 8) for axis in ((1, 0), (0, 1)))
     across, down = (squared_distance(np.asarray(slope, np.float32)) for slope in slopes)
@@ -269,13 +266,13 @@ def list_names(names: Sequence[str], count: int) -> str:
     return f"{len(names)} of {count} presses ({quoted}{rest})"
 
 
-def _blur(views: Sequence[U8]) -> list[NDArray[np.float32]]:
+def _blur(views: Sequence[U8]) -> list[F32]:
     """Blur views a little, and take every second pixel, so that noise is small."""
     blurred = (cv2.GaussianBlur(view.astype(np.float32), (0, 0), _PLACE_PX) for view in views)
     return [np.asarray(one[::2, ::2], np.float32) for one in blurred]
 
 
-def _levels(view: U8, others: Sequence[U8]) -> NDArray[np.float64]:
+def _levels(view: U8, others: Sequence[U8]) -> F64:
     """Measure by how many levels others differ from a view, in the median over every second pixel, float64 (n,)."""
     reference = view.astype(np.float32)
     levels = (fit_levels(one.astype(np.float32), reference) for one in others)

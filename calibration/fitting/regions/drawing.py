@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import score_again
 from calibration.fitting.fit import Fitted
@@ -30,6 +29,7 @@ from calibration.fitting.limits.appended import TAUGHT_WEIGHTS, append
 from calibration.fitting.limits.threshold import promise_at
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.teach import FEWEST_HELD_OUT, hold_out
+from edge.core.arrays import F32
 from edge.core.contact.relief import find_contact
 from edge.core.detector import Bank
 from edge.core.drawn_regions import LEAST_JUDGED_MM2, DrawnRegion, DrawnRegions, find_blind, weigh_places
@@ -51,8 +51,6 @@ __all__ = [
     "read_regions",
     "write_regions",
 ]
-
-F32 = NDArray[np.float32]
 
 # What a manifest says of scores, which are others now.
 _OF_OLD_SCORES: Final = ("press_again", DAMAGE_FOUND, CARD)

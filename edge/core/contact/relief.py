@@ -12,8 +12,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F32, U8, Mask
 from edge.core.contact.mask import squared_distance, touched_mask
 from edge.core.contact.reference import Reference, View
 from edge.core.contact.settings import ContactSettings
@@ -34,7 +34,7 @@ _BESIDE_MARKERS = 0.7
 # Energy below which two pictures have as good as no structure, levels squared: what noise alone gives.
 _NOISE_ENERGY = 4.0
 
-Energy = NDArray[np.float32]
+Energy = F32
 """float32 (60, 80), levels squared, summed over the colours."""
 
 
@@ -78,7 +78,7 @@ class Relief:
 
     added: View
     """Signed structure."""
-    mask: NDArray[np.bool_]
+    mask: Mask
     """bool (h / 2, w / 2), where the structure is an imprint's."""
     level: float
     """How strong it is there, root mean square of a millimetre, averaged over the whole view, levels."""
@@ -89,7 +89,7 @@ class Relief:
         """The share of the view with relief."""
         return float(np.count_nonzero(self.mask)) / self.mask.size
 
-    def gain(self, mask: NDArray[np.bool_]) -> float:
+    def gain(self, mask: Mask) -> float:
         """Has the view more structure than the reference (positive), or less, where they differ? A log ratio.
 
         A part that presses adds structure; a reference that was learnt from a pressed gel has more of it than the free
@@ -107,7 +107,7 @@ class Relief:
         return float(np.log((seen + _NOISE_ENERGY) / (learnt + _NOISE_ENERGY)))
 
 
-def with_relief(mask: NDArray[np.bool_], relief: Relief, on_area: float) -> NDArray[np.bool_]:
+def with_relief(mask: Mask, relief: Relief, on_area: float) -> Mask:
     """The place of a contact that is too light to have an area, from its relief: bool (h, w), as `mask`."""
     if relief.area < on_area or np.count_nonzero(mask) >= on_area * mask.size:
         return mask
@@ -115,9 +115,6 @@ def with_relief(mask: NDArray[np.bool_], relief: Relief, on_area: float) -> NDAr
     seen = cv2.resize(relief.mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
     return np.asarray(mask | (seen > 0), np.bool_)
 
-
-U8 = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 # 0.5 mm of the 160x120 view around what is touched: a smooth contact fades out without relief. Relief is taken over a
 # window of 1.1 mm, so it reaches as far by itself.
@@ -142,7 +139,7 @@ def reach(touched: Mask, relief: Relief) -> Mask:
 def find_expected_reach(
     presses: Sequence[U8],
     free: U8 | None,
-    usual: NDArray[np.float32] | None,
+    usual: F32 | None,
     region: Region,
     size: tuple[int, int],
     prepare: Callable[[U8], U8] = lambda rgb: rgb,
@@ -188,7 +185,7 @@ def _small(region: tuple[int, ...], size: tuple[int, int]) -> tuple[int, int]:
     return max(4, round(sides[0])), max(4, round(sides[1]))
 
 
-def _view(rgb: U8, shape: tuple[int, int]) -> NDArray[np.float32]:
+def _view(rgb: U8, shape: tuple[int, int]) -> F32:
     height, width = shape
     return np.asarray(
         cv2.resize(rgb.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA), np.float32

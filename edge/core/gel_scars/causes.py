@@ -5,17 +5,12 @@ The rules, in order; the numbers are chosen on simulated gels, see docs/gel.md.
 
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from edge.core.arrays import F32
 from edge.core.gel_scars.record import Repeats
 from edge.core.sentence import Sentence
 from edge.core.verdict import Blame, Cause
 
 __all__ = ["SEVERAL", "blame", "is_explained", "remaining", "together"]
-
-F32 = NDArray[np.float32]
-
 
 # Of how far a place is above the limit, this share at most is left where a mark of the gel causes it, and more than the
 # second one where the part does, when the press is scored without the marks.

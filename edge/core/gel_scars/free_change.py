@@ -8,15 +8,12 @@ from typing import final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F32, Mask
 from edge.core.contact.reference import View, fit_levels
 from edge.core.contact.table import State
 
 __all__ = ["FreeViews", "Marks", "marks"]
-
-F32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 # Lengths are in pixels of the 160x120 view, 0.127 mm each on a GelSight Mini, and scale with the view.
 _PIXELS_ACROSS = 160

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32, Mask
 from edge.core.contact.reference import View
 from edge.core.gel_scars.causes import SEVERAL, blame, is_explained, remaining, together
 from edge.core.gel_scars.free_change import Marks, marks
@@ -16,9 +17,6 @@ from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.verdict import Blame, Cause
 
 __all__ = ["GelScars", "Judged"]
-
-F32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 # What a scar raises around itself is masked up to this distance from the mark, in pixels of the view: 1 mm. On
 # simulated gels the map exceeds its limit up to 0.7 mm away.
@@ -75,7 +73,7 @@ class _Places(NamedTuple):
             return cls(np.zeros(above.shape, np.int32), np.zeros((1, 5), np.int32))
         return cls(*cv2.connectedComponentsWithStats(above, connectivity=8)[1:3])  # type: ignore[arg-type]
 
-    def touch(self, places: Mask) -> NDArray[np.bool_]:
+    def touch(self, places: Mask) -> Mask:
         """Say of each number whether it meets one of these pixels; False for 0."""
         is_met = np.zeros(len(self.boxes), bool)
         is_met[self.labels[places]] = True

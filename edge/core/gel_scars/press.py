@@ -9,14 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32, U8, Mask
 from edge.core.contact.reference import View
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.region import Region, touched_in
 
 __all__ = ["ScoredPress", "without_marks"]
-
-F32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +88,6 @@ def _whole_extent(region: Region, size: tuple[int, int]) -> Mask:
 def _centres(count: int, size: int) -> NDArray[np.int64]:
     """Where the centres of so many pixels of the view lie on a side of the picture, in its pixels."""
     return np.minimum((np.arange(count) + 0.5) * size / count, size - 1).astype(np.int64)
-
-
-U8 = NDArray[np.uint8]
 
 
 def without_marks(rgb: U8, change: View, size: tuple[int, int], region: Region) -> U8:

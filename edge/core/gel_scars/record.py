@@ -9,12 +9,10 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32, Mask
 from edge.core.imaging.decode import VIEW_SIZE
 
 __all__ = ["PLANES", "Repeats", "ScarRecord"]
-
-F32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 PLANES: Final = 7
 # What each plane holds: presses that exceeded here, those that did not, the weight of the mask; of the presses that

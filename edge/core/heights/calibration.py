@@ -5,8 +5,8 @@ from datetime import date
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F64, U8
 from edge.core.imaging.sensor_check import colour_cells, colour_distance
 
 __all__ = [
@@ -18,8 +18,6 @@ __all__ = [
     "place_powers",
     "surface_terms",
 ]
-
-F64 = NDArray[np.float64]
 
 SIZE: Final = (320, 240)
 """(width, height) of the picture that is calibrated, the maker's crop."""
@@ -87,7 +85,7 @@ class HeightCalibration:
         if not np.linalg.eigvalsh(self.rest).min() > 0:
             raise ValueError("rest is the covariance of three colours, positive in every direction")
 
-    def why_not(self, free_rgb: NDArray[np.uint8], serial: str | None = None) -> str:
+    def why_not(self, free_rgb: U8, serial: str | None = None) -> str:
         """Say why this calibration does not serve a gel, empty where it does. free_rgb: uint8 (h, w, 3)."""
         if serial and self.serial and serial != self.serial:
             return (
@@ -102,7 +100,7 @@ class HeightCalibration:
             )
         return ""
 
-    def light(self, free_rgb: NDArray[np.uint8]) -> F64:
+    def light(self, free_rgb: U8) -> F64:
         """Return how much brighter the free gel is than at calibration, float64 (3,) of red, green and blue."""
         return np.asarray(
             colour_cells(free_rgb, CELLS).mean(axis=(0, 1)) / self.free_levels.mean(axis=(0, 1))

@@ -11,15 +11,12 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F64, Mask
 from edge.core.defects import longest_extent
 from edge.core.heights.calibration import HeightCalibration
 
 __all__ = ["Deviation", "Measured", "measure_deviation"]
-
-F64 = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Around the places above the limit: where their flanks may lie, and up to where sound gel is compared.
 _FLANK_MM, _AROUND_MM = 0.4, 1.6

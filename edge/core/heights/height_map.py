@@ -5,8 +5,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64, U8, Mask
 from edge.core.contact.reference import fit_levels
 from edge.core.errors import HeightError
 from edge.core.heights.calibration import SIZE, HeightCalibration, place_powers
@@ -20,11 +20,6 @@ __all__ = [
     "measure_heights",
     "part_heights",
 ]
-
-U8 = NDArray[np.uint8]
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Heights brighten the gel a little, so slopes and heights are found in turns; the third moves none by 2 micrometres.
 _TURNS: Final = 3

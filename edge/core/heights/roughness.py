@@ -10,15 +10,13 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F64
 from edge.core.errors import HeightError
 from edge.core.heights.height_map import HeightMap
 from edge.core.imaging.region import Region
 
 __all__ = ["CUT_OFFS_MM", "SHORTEST_MM", "Roughness", "band", "measure_roughness"]
-
-F64 = NDArray[np.float64]
 
 SHORTEST_MM: Final = 0.25
 """Of a wave that a gel shows: four pixels, of which its coat and the lens leave 0.4; of 0.5 mm they leave 0.8."""

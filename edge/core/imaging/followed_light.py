@@ -19,8 +19,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import U8
 from edge.core.contact.reference import View, fit_levels
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_check import is_same_kind
@@ -41,7 +41,6 @@ _STEP: Final = 0.5
 _SMOOTH_SHARE: Final = 0.0375
 _SAME, _NOTHING = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 
-U8 = NDArray[np.uint8]
 _Colour = tuple[float, float, float]
 
 

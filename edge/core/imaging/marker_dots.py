@@ -14,12 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MarkerDots", "find_marker_dots", "shows_marker_dots"]
+from edge.core.arrays import F32, F64, U8, Mask
 
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
+__all__ = ["MarkerDots", "find_marker_dots", "shows_marker_dots"]
 
 # On four real marker gels a dot is 0.7 to 0.95 mm wide, its centre darker than its surroundings by 48 to 62 % in all
 # colours, and its next neighbours are 1.7 to 2.1 mm away, alike within 10 %.

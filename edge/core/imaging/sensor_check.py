@@ -9,8 +9,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64, U8
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.sentence import Sentence
 
@@ -31,8 +31,6 @@ _OTHER_KIND: Final = 0.5
 # Between units of one kind colours differ by 3 to 21 % (docs/bundle.md), between kinds by 25 % and more.
 _FARTHEST_OF_KIND: Final = 0.22
 _COLOURS: Final = ("red", "green", "blue")
-
-F64 = NDArray[np.float64]
 
 # The smallest level of a nominal cell in a ratio: a black corner has no ratio.
 _LEAST_LEVEL: Final = 1.0
@@ -58,7 +56,7 @@ class NominalColours:
             raise ValueError(f"a limit is positive, found {self.limit}")
 
 
-def colour_cells(rgb: NDArray[np.uint8], shape: tuple[int, int]) -> F64:
+def colour_cells(rgb: U8, shape: tuple[int, int]) -> F64:
     """The mean colour of each of (rows, columns) equal cells, in whole levels. rgb: uint8 (h, w, 3)."""
     rows, columns = shape
     return np.asarray(cv2.resize(rgb, (columns, rows), interpolation=cv2.INTER_AREA), np.float64)
@@ -77,7 +75,7 @@ def colour_distance(cells: F64, nominal: F64) -> float:
     return float(np.median(residue) / light.mean())
 
 
-def check_sensor(rgb: NDArray[np.uint8], nominal: NominalColours) -> Rejection | None:
+def check_sensor(rgb: U8, nominal: NominalColours) -> Rejection | None:
     """Another sensor, gel or light, or None. rgb: uint8 (h, w, 3), the inspected region."""
     rows, columns = nominal.cells.shape[:2]
     cells = colour_cells(rgb, (rows, columns))
@@ -122,7 +120,7 @@ def likely_cause(cells: F64, nominal: NominalColours) -> Sentence:
     )
 
 
-def is_same_kind(view: NDArray[np.float32], known: NDArray[np.float32]) -> bool:
+def is_same_kind(view: F32, known: F32) -> bool:
     """Tell whether two pictures of a free gel, float32 (h, w, 3), may be of units of one kind of sensor."""
     cells, nominal = (
         np.asarray(cv2.resize(one, (8, 8), interpolation=cv2.INTER_AREA), np.float64) for one in (view, known)

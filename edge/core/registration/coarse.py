@@ -10,11 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32
 from edge.core.registration.pose import Pose, turn_slopes
 
 __all__ = ["CoarseSearch"]
-
-F32 = NDArray[np.float32]
 
 # The transform has this many times the cells of the field, so that little wraps round from one side to the other: what
 # lies more than half of them from where most lie is not found. Balls at the rim lay up to 0.75 of the field away.

@@ -17,14 +17,11 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64, U8
 from edge.core.contact.reference import fit_levels
 
 __all__ = ["FreeLight", "SlopeColours", "curl_share"]
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 
 # Below this share of the stronger slope's colours the weaker slope cannot be separated from noise; a Mini has a half.
 _LEAST_RATIO = 0.02
@@ -86,8 +83,6 @@ def curl_share(slopes: F32) -> float:
     least, most = np.linalg.eigvalsh(parts @ parts.T).tolist()
     return least / (least + most) if most > 0 else 0.0
 
-
-U8 = NDArray[np.uint8]
 
 # The light is the free gel without its grain and dust, as a share of its median; weaker places would amplify noise.
 _SMOOTH_SHARE = 0.05

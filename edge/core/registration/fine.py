@@ -11,14 +11,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64
 from edge.core.registration.pose import Pose, depth_inside, turn_slopes
 
 __all__ = ["Alignment", "FineSearch"]
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 
 # Places that are read, and how many of them cv2.remap takes as a row.
 _PLACES, _ROW = 1024, 64

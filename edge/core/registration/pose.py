@@ -7,13 +7,10 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+
+from edge.core.arrays import F32, F64, U8, Mask
 
 __all__ = ["Pose", "PoseUncertainty", "Registered", "depth_inside", "turn_slopes", "warp"]
-
-F32 = NDArray[np.float32]
-U8 = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -32,7 +29,7 @@ class Pose:
         if not all(math.isfinite(value) for value in (self.x_px, self.y_px, self.turn_rad)):
             raise ValueError(f"a pose is finite, found {self}")
 
-    def matrix(self, size: tuple[int, int]) -> NDArray[np.float64]:
+    def matrix(self, size: tuple[int, int]) -> F64:
         """The map from the bank's pixels to the press's, float64 (2, 3); pixel centres are integers. size: (w, h)."""
         cos, sin = math.cos(self.turn_rad), math.sin(self.turn_rad)
         cx, cy = (size[0] - 1) / 2, (size[1] - 1) / 2

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F32, U8, Mask
 from edge.core.printable import score_texts
 from edge.core.registration.coarse import CoarseSearch
 from edge.core.registration.colours import FreeLight, SlopeColours
@@ -21,8 +21,6 @@ from edge.core.registration.pose import (
 from edge.core.sentence import Sentence
 
 __all__ = ["SIDE_PX", "PartInPose", "PoseSearch", "Registrar", "shrunk"]
-
-F32 = NDArray[np.float32]
 
 SIDE_PX = 112
 """The longer side of the picture in which a pose is found; half of that where candidates are refined."""
@@ -86,9 +84,6 @@ class PoseSearch:
         match, inside = self._middle.agreement(slopes, pose)
         return match * float(inside**_INSIDE_POWER)
 
-
-U8 = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 # Interpolation reads two pixels around a place, and a resized picture is less sharp at its rim.
 _RIM_PX = 2

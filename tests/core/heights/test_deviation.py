@@ -5,12 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lit_surface import MM_PER_PX, calibration, grid
-from numpy.typing import NDArray
 
+from edge.core.arrays import F64, Mask
 from edge.core.heights.deviation import Deviation, measure_deviation
-
-F64 = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 def dome() -> F64:

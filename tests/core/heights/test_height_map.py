@@ -4,14 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from lit_surface import MM_PER_PX, U8, calibration, free_gel, grid, light, other_gel
-from numpy.typing import NDArray
+from lit_surface import MM_PER_PX, calibration, free_gel, grid, light, other_gel
 
+from edge.core.arrays import F64, U8
 from edge.core.errors import HeightError
 from edge.core.heights.calibration import SIZE, HeightCalibration
 from edge.core.heights.height_map import HeightMap, free_picture, measure_heights
-
-F64 = NDArray[np.float64]
 
 
 def sphere(radius: float = 4.0, depth: float = 0.5) -> F64:

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from edge.core.arrays import F64
 from edge.core.heights.height_map import integrate
-
-F64 = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("sigma", [6, 12, 25, 50])

@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lit_surface import MM_PER_PX, calibration, grid
-from numpy.typing import NDArray
 
+from edge.core.arrays import F64
 from edge.core.errors import HeightError
 from edge.core.heights.height_map import HeightMap
 from edge.core.heights.roughness import measure_roughness
 from edge.core.imaging.region import Region
 
-F64 = NDArray[np.float64]
 ALL = Region(20, 20, 280, 200)
 
 

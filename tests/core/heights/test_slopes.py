@@ -2,13 +2,11 @@
 
 import numpy as np
 from lit_surface import MM_PER_PX, calibration, grid
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from edge.core.arrays import F64
 from edge.core.heights.calibration import SIZE, place_powers, surface_terms
 from edge.core.heights.height_map import SlopeFinder
-
-F64 = NDArray[np.float64]
 
 
 def find_minimum(response: F64, rest: F64, height: float, seen: F64) -> F64:

@@ -7,23 +7,22 @@ import cv2
 import numpy as np
 import pytest
 from marker_gel import APART_PX, WIDTH_PX, dotted, lattice, light, spread
-from numpy.typing import NDArray
 
+from edge.core.arrays import F64, U8
 from edge.core.imaging.marker_dots import MarkerDots, find_marker_dots
 
-U8 = NDArray[np.uint8]
 PIXELS_PER_MM = 15.8
 LIGHT = light()
 PLACES = lattice(LIGHT.shape)
 
 
-def known(places: NDArray[np.float64] = PLACES) -> MarkerDots:
+def known(places: F64 = PLACES) -> MarkerDots:
     dots = find_marker_dots(dotted(LIGHT, places), PIXELS_PER_MM)
     assert dots is not None
     return dots
 
 
-def whole(places: NDArray[np.float64]) -> NDArray[np.float64]:
+def whole(places: F64) -> F64:
     """The places of dots that the border does not cut."""
     inside = (places > WIDTH_PX) & (places < 224 - WIDTH_PX)
     return np.asarray(places[inside.all(axis=1)], np.float64)
@@ -99,7 +98,7 @@ def test_noise_is_no_dots() -> None:
         "beyond half of their distance",
     ],
 )
-def test_moved_dots_are_filled_and_nothing_else_changes(moved: NDArray[np.float64]) -> None:
+def test_moved_dots_are_filled_and_nothing_else_changes(moved: F64) -> None:
     """What is filled is the light that was there; further away every pixel is the camera's."""
     press = dotted(LIGHT, moved)
     filled = known().fill(press)

@@ -4,12 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import optimize, special, stats
 
 from calibration.experiments.detectability.pod import MIN_TRIALS, fit_pod
-
-F64 = NDArray[np.float64]
+from edge.core.arrays import F64
 
 LADDER = np.geomspace(0.008, 0.4, 33)
 
