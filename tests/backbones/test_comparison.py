@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime as ort
 import pytest
+from toy_trunk import features_of
 
 from edge.core.errors import ConfigError
 from plugins.backbones.efficientnet_lite0 import (
@@ -24,15 +24,9 @@ from plugins.backbones.efficientnet_lite0 import (
 from plugins.backbones.random import RandomBackbone, wide_resnet50_2_random
 
 
-def run(trunk: bytes, rgb: np.ndarray[Any, Any]) -> dict[str, np.ndarray[Any, Any]]:
-    session = ort.InferenceSession(trunk, providers=["CPUExecutionProvider"])
-    names = [output.name for output in session.get_outputs()]
-    return dict(zip(names, session.run(names, {"frames": rgb}), strict=True))
-
-
 def test_lite0_answers_as_every_trunk_does(package: None) -> None:
     """Frames uint8 of any size to taps at strides 4, 8 and 16."""
-    found = run(efficientnet_lite0.trunk(), np.full((2, 64, 96, 3), 128, np.uint8))
+    found = features_of(efficientnet_lite0.trunk(), np.full((2, 64, 96, 3), 128, np.uint8))
 
     assert {tap: found[tap].shape for tap in TAPS} == {
         "layer1": (2, 24, 16, 24),
@@ -55,7 +49,7 @@ def test_lite0_is_the_original_network_on_a_moved_picture(package: None, tap: st
     planes = torch.from_numpy(((at.astype(np.float32) - MEAN) / STD).transpose(0, 3, 1, 2).copy())
 
     expected = _original(torch, planes, TAPS[tap]).numpy()
-    found = run(efficientnet_lite0.trunk(), rgb)[tap]
+    found = features_of(efficientnet_lite0.trunk(), rgb)[tap]
 
     middle = slice(found.shape[2] * 3 // 8, found.shape[2] * 5 // 8)
     difference = np.abs(found - expected)[..., middle, middle].max()

@@ -4,8 +4,8 @@ from functools import cache
 
 import numpy as np
 import onnx
-import onnxruntime
 import pytest
+from toy_trunk import features_of
 
 from edge.core.errors import ConfigError
 from plugins.backbones.input_steps import IMAGENET, apply_steps
@@ -27,12 +27,6 @@ def frames(n: int, h: int, w: int) -> np.ndarray:
     return np.random.default_rng(5).integers(0, 256, (n, h, w, 3), dtype=np.uint8)
 
 
-def run(trunk: bytes, rgb: np.ndarray) -> dict[str, np.ndarray]:
-    """Tap name to feature map."""
-    session = onnxruntime.InferenceSession(trunk, providers=["CPUExecutionProvider"])
-    return dict(zip([o.name for o in session.get_outputs()], session.run(None, {"frames": rgb}), strict=True))
-
-
 @pytest.mark.parametrize(
     "name", ["resnet18", "resnet50", pytest.param("wide_resnet50_2", marks=pytest.mark.lab)]
 )
@@ -41,7 +35,7 @@ def test_a_trunk_is_the_network(name: str) -> None:
     taps = ("relu", "maxpool", "layer1.0", "layer1", "layer2", "layer3.1", "layer3", "layer4.0", "avgpool")
     state = random_state(name)
     rgb = frames(2, 32, 48)
-    found = run(build_trunk(state, name, taps), rgb)
+    found = features_of(build_trunk(state, name, taps), rgb)
     expected = forward(state, name, apply_steps(IMAGENET, rgb), taps)
     assert list(found) == list(taps)
     for tap in taps:
@@ -90,7 +84,7 @@ def test_borders_and_dead_channels_are_the_oracles(change: dict[str, np.ndarray]
     """Padding is zero after normalising, not before, which a black frame's corner shows; variance 0 is legal, because
     the norm adds its epsilon."""
     state = {**resnet18(), **change}
-    found = run(build_trunk(state, "resnet18", ("relu",)), frame)["relu"]
+    found = features_of(build_trunk(state, "resnet18", ("relu",)), frame)["relu"]
     expected = forward(state, "resnet18", apply_steps(IMAGENET, frame), ("relu",))["relu"]
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5 * expected.max())
     assert change or np.abs(expected[..., 0, 0] - expected[..., 5, 5]).max() > 0.01
@@ -100,10 +94,10 @@ def test_one_graph_serves_every_size_and_batch() -> None:
     """n, h and w are free; a frame alone and a frame in a batch have the same features."""
     trunk = build_trunk(resnet18(), "resnet18", ("layer1", "layer3"))
     batch = frames(3, 64, 96)
-    together, alone = run(trunk, batch), run(trunk, batch[1:2])
+    together, alone = features_of(trunk, batch), features_of(trunk, batch[1:2])
     assert together["layer3"].shape == (3, 256, 4, 6)
     np.testing.assert_allclose(together["layer3"][1:2], alone["layer3"], rtol=1e-5, atol=1e-5)
-    assert run(trunk, frames(1, 33, 47))["layer1"].shape == (1, 64, 9, 12)
+    assert features_of(trunk, frames(1, 33, 47))["layer1"].shape == (1, 64, 9, 12)
 
 
 def test_the_graph_ends_at_the_last_tap() -> None:
@@ -130,7 +124,7 @@ def test_half_precision_storage_halves_the_file() -> None:
     narrow = build_trunk(resnet18(), "resnet18", weights="float16")
     assert len(narrow) < 0.52 * len(wide)
     rgb = frames(1, 64, 64)
-    a, b = run(wide, rgb)["layer3"], run(narrow, rgb)["layer3"]
+    a, b = features_of(wide, rgb)["layer3"], features_of(narrow, rgb)["layer3"]
     assert np.abs(a - b).max() < 5e-3 * np.abs(a).max()
 
 

@@ -12,15 +12,7 @@ from collections import Counter
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-from piece_world import World
-
-NEVER = (
-    "passed with a place missing",
-    "lost",
-    "doubled",
-    "another verdict than its presses",
-    "faults of the database",
-)
+from piece_world import NEVER, World
 
 
 def main(pieces: int = 1000, seed: int = 0) -> int:

@@ -4,25 +4,14 @@ import os
 import shutil
 from pathlib import Path
 
-import pytest
 from command_line import gelgate
 from sql import execute
 
 from edge.messaging.publisher import PublisherLock
 from edge.store.database import SCHEMA_VERSION
-from edge.store.press_store import PressRecord, Store
-from edge.store.ulid import new_ulid
 
 T0 = 1_780_000_000 * 10**9
 KEPT = Path(__file__).parents[1] / "compatibility" / "version_0_1_0" / "gelgate.db"
-
-
-@pytest.fixture
-def database(tmp_path: Path) -> Path:
-    path = tmp_path / "gelgate.db"
-    with Store(path) as store:
-        store.record_press(PressRecord(new_ulid(T0), T0, "2BNN4ZE7", "bolt", "pass"), lambda gel: [])
-    return path
 
 
 def test_a_sound_database_ends_with_0(database: Path) -> None:

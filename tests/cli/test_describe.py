@@ -1,7 +1,6 @@
 """`gelgate station describe`: each format from a configuration alone, as the running station describes itself."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,7 @@ from edge.core.errors import ConfigError
 from edge.core.ports import Message
 from edge.gateway.command_table import describe_station
 from edge.messaging.descriptions.asyncapi import asyncapi_message
-from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
 from edge.messaging.subscriber import Inbox, next_message
@@ -98,14 +97,6 @@ def test_it_is_printed_or_written(config: Path, tmp_path: Path, capsys: pytest.C
     assert json.loads(printed)["device"]["name"] == "plant/line/press2"
 
 
-@pytest.fixture
-def broker() -> Iterator[LocalBroker]:
-    if "mosquitto" not in available_brokers():
-        pytest.skip("SKIPPED, NOT TESTED: the broker mosquitto is not installed")
-    with LocalBroker("mosquitto") as running:
-        yield running
-
-
 def hear(patch: pytest.MonkeyPatch, count: int) -> None:
     """Have the verb wait for so many messages, however long, in place of two seconds for any."""
     left = count
@@ -126,34 +117,34 @@ def leaves(broker: LocalBroker, root: str, payload: bytes) -> None:
 
 
 def test_the_address_of_the_broker_is_enough(
-    config: Path, broker: LocalBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    config: Path, mosquitto: LocalBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same files as from the configuration of the station, with the broker that was named."""
-    address = f'host = "{broker.host}", port = {broker.port}, '
+    address = f'host = "{mosquitto.host}", port = {mosquitto.port}, '
     config.write_text(CONFIG.replace('host = "broker.plant", tls = {}, ', address), encoding="utf-8")
     station = describe_station(load_config(config))
-    leaves(broker, station.root, asyncapi_message(station).payload)
-    leaves(broker, station.root.replace("press2", "press3"), b"{")
+    leaves(mosquitto, station.root, asyncapi_message(station).payload)
+    leaves(mosquitto, station.root.replace("press2", "press3"), b"{")
 
     for form in ("asyncapi", "homeassistant", "node-red"):
         hear(monkeypatch, 2)
-        describe(form=Format(form), host=broker.host, port=broker.port, output=tmp_path / form)
+        describe(form=Format(form), host=mosquitto.host, port=mosquitto.port, output=tmp_path / form)
         assert (tmp_path / form).read_text(encoding="utf-8") == text(config, form)
 
 
 def test_a_broker_without_one_station_is_refused_in_a_sentence(
-    config: Path, broker: LocalBroker, monkeypatch: pytest.MonkeyPatch
+    config: Path, mosquitto: LocalBroker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """None, or several: then their names."""
     station = describe_station(load_config(config))
     with pytest.raises(ConfigError, match="has no station that describes itself below gelgate/\\+"):
-        describe(host=broker.host, port=broker.port)
+        describe(host=mosquitto.host, port=mosquitto.port)
     for name in ("press2", "press3"):
-        leaves(broker, station.root.replace("press2", name), asyncapi_message(station).payload)
+        leaves(mosquitto, station.root.replace("press2", name), asyncapi_message(station).payload)
     hear(monkeypatch, 2)
     with pytest.raises(
         ConfigError, match="has several stations: plant/line/press2, plant/line/press3; name one"
     ):
-        describe(host=broker.host, port=broker.port)
+        describe(host=mosquitto.host, port=mosquitto.port)
     with pytest.raises(ConfigError, match="give the station's --config"):
-        describe(host=broker.host, port=broker.port, form=Format.MOSQUITTO)
+        describe(host=mosquitto.host, port=mosquitto.port, form=Format.MOSQUITTO)

@@ -1,7 +1,5 @@
 """`gelgate fit`: from a folder of pictures to a verified bundle, with the detector and backbone of another package."""
 
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -14,20 +12,7 @@ from edge import cli, registry
 from edge.core.errors import ConfigError, FitError, GelgateError
 from edge.model.bundle import Bundle
 
-
-@pytest.fixture(autouse=True)
-def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The tiny detector and backbone as another distribution installs its own: through entry points."""
-    info = tmp_path / "site" / "other_package-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other_package\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(
-        "[gelgate.detectors]\ntiny = tiny:TINY\n[gelgate.backbones]\ntiny = tiny:TINY_BACKBONE\n"
-    )
-    monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path / "site")])
-    registry._points.cache_clear()
-    yield
-    registry._points.cache_clear()
+pytestmark = pytest.mark.usefixtures("other_package")
 
 
 @pytest.fixture

@@ -15,19 +15,9 @@ from edge.core.part_position import PartPosition
 from edge.store import gel_proofs
 from edge.store.gel_proofs import GelBundle
 from edge.store.outbox import Outbox
-from edge.store.press_store import PressRecord, Store
-from edge.store.ulid import new_ulid
+from edge.store.press_store import Store
 
 T0 = 1_780_000_000 * 10**9
-
-
-@pytest.fixture
-def database(tmp_path: Path) -> Path:
-    """A ledger of one sensor with one press."""
-    path = tmp_path / "gelgate.db"
-    with Store(path) as store:
-        store.record_press(PressRecord(new_ulid(T0), T0, "2BNN4ZE7", "bolt", "pass"), lambda gel: [])
-    return path
 
 
 @pytest.mark.usefixtures("tokyo")

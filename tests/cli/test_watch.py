@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from real_brokers import require
 
 from edge.cli.watch import watch as watch_command
 from edge.core.errors import SinkUnavailable
@@ -14,7 +15,7 @@ from edge.core.ports import Message
 from edge.core.printable import printable
 from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.descriptions.station import DescribedStation
-from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
 from edge.messaging.subscriber import describe, station_filter, watch
@@ -27,8 +28,7 @@ IDS = [f"01ARZ3NDEKTSV4RRFFQ69G5FA{letter}" for letter in "ABCDEF"]
 def broker(request: pytest.FixtureRequest) -> Iterator[LocalBroker]:
     """mosquitto, or the one that a test names."""
     kind = getattr(request, "param", "mosquitto")
-    if kind not in available_brokers():
-        pytest.skip(f"SKIPPED, NOT TESTED: the broker {kind} is not installed")
+    require(kind)
     with LocalBroker(kind) as running:
         yield running
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from heads import run_head
+from heads import around, run_head
 
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.imaging.tiles import tiling
@@ -69,12 +69,6 @@ def fitted(detector: Any, nominal: Nominal, grid: Grid = GRID, **choice: Any) ->
 
 def scored(detector: Any, p: Any, bank: Bank, asked: Features) -> np.ndarray:
     return run_head(detector.head(GRID, bank, p), asked, bank)["score_map"][0]
-
-
-def around(score_map: np.ndarray, pixel: tuple[int, int]) -> float:
-    """The highest score within 12 pixels."""
-    row, column = pixel
-    return float(score_map[max(row - 12, 0) : row + 13, max(column - 12, 0) : column + 13].max())
 
 
 def touched_of_tiles(touched: np.ndarray) -> np.ndarray:

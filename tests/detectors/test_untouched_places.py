@@ -10,7 +10,7 @@ from typing import Any
 import heads
 import numpy as np
 import pytest
-from heads import run_head, stored_bytes
+from heads import around, run_head, stored_bytes
 
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.imaging.tiles import tiling
@@ -70,12 +70,6 @@ def fitted(method: str, is_touched: bool = True, restless: float = 1.0) -> Bank:
 def scored(method: str, bank: Bank, asked: Features) -> np.ndarray:
     detector, choice = METHODS[method]
     return run_head(detector.head(GRID, bank, detector.parameters(**choice)), asked, bank)["score_map"][0]
-
-
-def around(score_map: np.ndarray, pixel: tuple[int, int]) -> float:
-    """The highest score within 12 pixels."""
-    row, column = pixel
-    return float(score_map[max(row - 12, 0) : row + 13, max(column - 12, 0) : column + 13].max())
 
 
 def check_oracle(detector: Any, p: Any, bank: Bank, grid: Grid, asked: Features) -> None:

@@ -8,10 +8,9 @@ from typing import Any
 import cv2
 import numpy as np
 import onnx
-import onnxruntime as ort
 import pytest
 from command_line import gelgate, ran
-from numpy.typing import NDArray
+from toy_trunk import features_of
 from vit_states import WIDTH, random_vit, save_safetensors
 
 from calibration.fitting.trunks import open_trunk
@@ -31,16 +30,10 @@ def weights(tmp_path: Path) -> Path:
     return path
 
 
-def run(trunk: bytes, frames: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
-    session = ort.InferenceSession(trunk, providers=["CPUExecutionProvider"])
-    names = [output.name for output in session.get_outputs()]
-    return dict(zip(names, session.run(names, {"frames": frames}), strict=True))
-
-
 def test_taps_are_patch_grids_and_deeper_blocks_are_not_built(weights: Path, tmp_path: Path) -> None:
     """Tokens become (n, d, rows, columns) for any number of frames; block2 is not in the file."""
     export = export_backbone(weights, tmp_path / "t.onnx", OWN)
-    found = run((tmp_path / "t.onnx").read_bytes(), np.zeros((3, 32, 32, 3), np.uint8))
+    found = features_of((tmp_path / "t.onnx").read_bytes(), np.zeros((3, 32, 32, 3), np.uint8))
     assert {tap: maps.shape for tap, maps in found.items()} == {
         "block0": (3, WIDTH, 4, 4),
         "block1": (3, WIDTH, 4, 4),
@@ -70,7 +63,7 @@ def test_half_precision_and_other_sizes(weights: Path) -> None:
     other = dataclasses.replace(OWN, frame=(48, 40))
     resized = dataclasses.replace(other, steps=dataclasses.replace(IMAGENET, size=(32, 32)))
     for options, grid in ((resized, (4, 4)), (other, (6, 5))):
-        found = run(export_backbone(weights, None, options).trunk, np.zeros((1, 48, 40, 3), np.uint8))
+        found = features_of(export_backbone(weights, None, options).trunk, np.zeros((1, 48, 40, 3), np.uint8))
         assert found["block1"].shape == (1, WIDTH, *grid)
 
 
@@ -220,7 +213,7 @@ def test_timm_computes_the_same(tmp_path: Path) -> None:
     save_safetensors(tmp_path / "timm.safetensors", state)
     options = BackboneOptions("own", taps=("block1", "norm"), frame=(64, 64))
     frames = np.random.default_rng(0).integers(0, 256, (2, 64, 64, 3), dtype=np.uint8)
-    found = run(export_backbone(tmp_path / "timm.safetensors", None, options).trunk, frames)
+    found = features_of(export_backbone(tmp_path / "timm.safetensors", None, options).trunk, frames)
     with torch.no_grad():
         planes = torch.from_numpy(apply_steps(IMAGENET, frames)).float()
         (block,) = network.forward_intermediates(planes, indices=[1], norm=False, intermediates_only=True)

@@ -2,13 +2,13 @@
 
 import random
 import threading
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from small_recordings import SERIAL, jpeg, write_recording
+from waiting import PATIENCE_S, wait_until
 
 from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from edge.clock import ManualClock, SystemClock
@@ -25,7 +25,6 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Device, DeviceIdentity
 from plugins.devices.usb_mock import UsbMockOptions, plugin
 
-PATIENCE_S = 60.0
 LOST, OVER = DeviceLost("pulled"), RecordingEnded("over")
 FAULT, STREAMING, ENDED, CLOSED = (
     AcquisitionState(name) for name in ("fault", "streaming", "ended", "closed")
@@ -35,14 +34,6 @@ FAULT, STREAMING, ENDED, CLOSED = (
 def options_for(tmp_path: Path, *faults: str, frames: int = 8) -> UsbMockOptions:
     recording = write_recording(tmp_path / "recording", frames)
     return UsbMockOptions(recording=recording, pace=0.0, faults=faults, with_webcam=False)
-
-
-def wait_for(fact: Callable[[], bool]) -> None:
-    """Wait until another thread has done its part; the limit only ends a failing test."""
-    end = time.monotonic() + PATIENCE_S
-    while not fact():
-        assert time.monotonic() < end, "the other thread never came there"
-        time.sleep(0.001)
 
 
 class ScriptedDevice:
@@ -250,7 +241,7 @@ def test_pulled_out_again_and_again_while_a_thread_reads(tmp_path: Path) -> None
             seen.extend([frame.payload] if frame else [])
             return acquisition.status.state is state
 
-        wait_for(is_reached)
+        wait_until(is_reached)
 
     with Acquisition(lambda: plugin.open(options, clock), clock, depth=4, backoff=backoff) as acquisition:
         for pull in range(1, 11):
@@ -298,11 +289,11 @@ def test_a_reader_that_waits_for_the_consumer(tmp_path: Path) -> None:
     """Ten seconds of an inspection while the queue is full are not the sensor's silence, and `close` does not hang."""
     options, clock = options_for(tmp_path, frames=20), ManualClock()
     with Acquisition(lambda: plugin.open(options, clock), clock, depth=2) as acquisition:
-        wait_for(lambda: acquisition.status.frames == 2)
+        wait_until(lambda: acquisition.status.frames == 2)
         clock.sleep(10)
         for _ in range(5):
             assert acquisition.next(PATIENCE_S) is not None
-        wait_for(lambda: acquisition.status.frames == 7)
+        wait_until(lambda: acquisition.status.frames == 7)
         assert acquisition.status.reconnects == 0
         acquisition.close()
         acquisition.close()

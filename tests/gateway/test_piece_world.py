@@ -5,19 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from piece_world import World
+from piece_world import NEVER, World
 
 from edge.core.piece import Piece, PlacePress
 from edge.features.piece import Pieces
 from edge.press_stage import PressStage
-
-NEVER = (
-    "passed with a place missing",
-    "lost",
-    "doubled",
-    "another verdict than its presses",
-    "faults of the database",
-)
 
 
 def found(path: Path, pieces: int, order: str) -> dict[str, int]:

@@ -6,37 +6,24 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
+from real_brokers import mosquitto, require
 from recorded_presses import path, store
 from scripted_broker import ScriptedBroker
+from waiting import PATIENCE_S
 
 from edge.core.backoff import Backoff
 from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
-from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker, Level, Received
 from edge.messaging.mqtt_connection import Connection
 from plugins.sinks.mqtt import MqttSink, plugin
 from plugins.sinks.mqtt_options import MqttOptions
 
-__all__ = ["path", "store"]  # fixtures
+__all__ = ["PATIENCE_S", "mosquitto", "path", "require", "store"]
 
 ROOT = "gelgate/plant/line1/press2/gel/v1"
-
-# Far more than a busy machine needs: only what never comes is waited for so long.
-PATIENCE_S = 60.0
-
-
-def require(kind: str) -> None:
-    if kind not in available_brokers():
-        pytest.skip(f"SKIPPED, NOT TESTED: the broker {kind} is not installed")
-
-
-@pytest.fixture
-def mosquitto() -> Iterator[LocalBroker]:
-    require("mosquitto")
-    with LocalBroker("mosquitto") as broker:
-        yield broker
 
 
 @pytest.fixture(params=["mosquitto-5", "mosquitto-3.1.1", "amqtt"])

@@ -7,6 +7,7 @@ from contextlib import suppress
 
 import pytest
 from scripted_broker import ScriptedBroker
+from waiting import wait_until
 
 from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
@@ -163,8 +164,7 @@ def test_a_message_without_an_answer_is_known_while_another_is_answered() -> Non
 
         waiting = threading.Thread(target=publish_slowly)
         waiting.start()
-        while not connection.is_unheard:
-            time.sleep(0.01)
+        wait_until(lambda: connection.is_unheard)
         connection.publish(Message("answer", b"", 1))
         assert connection.is_unheard
         connection.abandon("the test ends")

@@ -2,11 +2,11 @@
 
 import json
 import random
-import time
 from collections import Counter
 from pathlib import Path
 
 from recorded_presses import T0, make_press, messages_of
+from waiting import wait_until
 
 from edge.clock import SystemClock
 from edge.core.backoff import Backoff
@@ -44,8 +44,7 @@ def test_a_broker_killed_in_the_middle_and_restarted_loses_nothing(
         worker = SinkWorker("mqtt", sink, outbox, RetainedState(), SystemClock(), backoff)
         for outage in range(2):
             heard.append(listen(broker, client_id=f"listener{outage}"))
-            while worker.step() != IDLE_S:
-                SystemClock().sleep(0.02)
+            wait_until(lambda: worker.step() == IDLE_S)
             ids += [record_press(store, len(ids)) for _ in range(10)]
             worker.step()  # one batch: some presses are out, some are not
             hears_all_acknowledged(heard, ids, outbox)
@@ -54,8 +53,7 @@ def test_a_broker_killed_in_the_middle_and_restarted_loses_nothing(
             assert worker.step() > 0
             broker.start()
         heard.append(listen(broker, client_id="last"))
-        while worker.step() != IDLE_S:
-            SystemClock().sleep(0.02)
+        wait_until(lambda: worker.step() == IDLE_S)
         hears_all_acknowledged(heard, ids, outbox)
 
         assert outbox.status().rows == 0
@@ -106,8 +104,8 @@ def test_a_state_change_and_a_command_pass_while_results_flow(
         listener.wait_for(lambda heard: heard.payloads("gel") != [])
         listener.ask("ping", b'{"transaction": "t1", "arguments": {"text": "hello"}}')
         listener.wait_for(lambda heard: heard.payloads("cmd/ping/response") != [])
-        while sink._connection.is_unheard:  # a broker that owes an acknowledgement would publish the will
-            time.sleep(0.01)
+        # A broker that owes an acknowledgement would publish the will.
+        wait_until(lambda: not sink._connection.is_unheard)
         publisher.stop()
 
     (response,) = [json.loads(p) for p in listener.payloads("cmd/ping/response")]

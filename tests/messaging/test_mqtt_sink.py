@@ -13,6 +13,7 @@ from collections.abc import Callable
 from contextlib import closing
 
 import pytest
+from waiting import wait_until
 
 from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message, Sink
@@ -237,9 +238,6 @@ def test_no_connection_leaves_a_socket(mosquitto: LocalBroker, end: Callable[[Co
         client = weakref.ref(connection._client)
         end(connection)
         del connection
-        deadline = time.monotonic() + PATIENCE_S
-        while client() is not None and time.monotonic() < deadline:  # its thread ends in its own time
-            time.sleep(0.01)
-        assert client() is None
+        wait_until(lambda: client() is None)  # its thread ends in its own time
     finally:
         gc.enable()

@@ -2,11 +2,10 @@
 
 import json
 import threading
-import time
-from collections.abc import Callable
 
 import pytest
 from scripted_broker import ScriptedBroker
+from waiting import wait_until
 
 from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
@@ -52,16 +51,6 @@ def sink(scripted: ScriptedBroker, asked: Asked, stepped: SinkTo) -> MqttSink:
     return opened
 
 
-def until(is_so: Callable[[], bool]) -> None:
-    waiting = threading.Event()
-    deadline = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline:
-        if is_so():
-            return
-        waiting.wait(0.01)
-    raise AssertionError("it did not come to that")
-
-
 @pytest.mark.parametrize(
     "topic",
     [
@@ -79,7 +68,7 @@ def test_an_answer_never_leaves_the_station_s_own_topics(
     """The request is refused, not done, and the refusal comes on the usual topic."""
     sink._received(Received(TRIGGER, b"{}", 1, False, response_topic=topic))
 
-    until(lambda: len(scripted.published) == 1)
+    wait_until(lambda: len(scripted.published) == 1)
     ((where, answer),) = scripted.published
     assert where == f"{TRIGGER}/response"
     assert b"its response topic is not" in answer
@@ -97,7 +86,7 @@ def test_too_large_requests_are_unread(scripted: ScriptedBroker, sink: MqttSink,
     """It is not kept either: 16 large ones would be the memory of the gateway."""
     scripted.send(TRIGGER, b"x" * (LARGEST_REQUEST_BYTES + 1))
 
-    until(lambda: len(scripted.published) == 1)
+    wait_until(lambda: len(scripted.published) == 1)
     assert b"a request has at most" in scripted.published[0][1]
     assert asked.done == []
 
@@ -113,12 +102,12 @@ def test_requests_that_find_no_room_are_answered(
     """A flood of which little is served: what fits waits, each of the others has its answer, and few have a line."""
     for number in range(WAITING_REQUESTS + 60):
         scripted.send(TRIGGER, b"%d" % number)
-    until(lambda: len(scripted.published) == 60)
+    wait_until(lambda: len(scripted.published) == 60)
     for number in range(1, 21):
         sink._requests.next()
         scripted.send(TRIGGER, b"%d" % number)
         scripted.send(TRIGGER, b"%d" % number)
-        until(lambda wanted=60 + number: len(scripted.published) == wanted)
+        wait_until(lambda wanted=60 + number: len(scripted.published) == wanted)
 
     assert len(asked.refused) == 80
     assert sum("is refused" in line for line in caplog.messages) <= 12
@@ -151,7 +140,7 @@ def test_an_answer_that_nobody_waits_for_acknowledges_no_later_message(scripted:
     connection = Connection.open(Broker("127.0.0.1", scripted.port, "again", timeout_s=1.0))
     scripted.topics["late"] = "silent"
     connection.publish_soon(Message("soon", b"{}"))
-    until(lambda: len(scripted.published) == 1)
+    wait_until(lambda: len(scripted.published) == 1)
     connection._client._last_mid -= 1
     with pytest.raises(SinkUnavailable, match="did not acknowledge"):
         connection.publish(Message("late", b"{}"))

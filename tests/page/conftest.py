@@ -4,13 +4,14 @@ from collections.abc import Iterator
 
 import pytest
 from page_messages import ROOT
+from real_brokers import mosquitto
 from station import bundle, recording
 
 from edge.clock import ManualClock
 from edge.core.sink_context import Station
 from plugins.sinks.page import PageOptions, PageSink
 
-__all__ = ["bundle", "recording"]
+__all__ = ["bundle", "mosquitto", "recording"]
 
 
 @pytest.fixture

@@ -11,13 +11,14 @@ import pytest
 from chromium import BROWSER_MS, wait_until
 from page_messages import TOKEN
 from ports import free_port
+from real_brokers import require
 from station import MQTT, Motion, press_recording, station_config
 
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.gateway.build import open_station
 from edge.gateway.station_loop import StationLoop
-from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker
 from edge.model.bundle import Bundle
 from edge.page.from_broker import BrokerStation, page_requests
@@ -33,8 +34,7 @@ CORNERS_MM = ((4.4, 3.8), (8.6, 3.8), (8.6, 8.1), (4.4, 8.1))
 def running(tmp_path: Path, bundle: Path) -> Iterator[tuple[StationLoop, dict[str, int], Path]]:
     """A station whose presses are all dented, one every two seconds; gives the ports of its page and of that from its
     broker, and its bundle."""
-    if "mosquitto" not in available_brokers():
-        pytest.skip("SKIPPED, NOT TESTED: the broker mosquitto is not installed")
+    require("mosquitto")
     port, mine = free_port(), shutil.copytree(bundle, tmp_path / "bundles" / "pz0")
     token, secret = tmp_path / "page.token", tmp_path / "line.secret"
     for file, content in ((token, TOKEN), (secret, SECRET)):

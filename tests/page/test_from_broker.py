@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from page_messages import ROOT, T0_NS, TOKEN, ask, asked, gel, press, state
 from ports import free_port
+from waiting import wait_until
 
 from edge.cli.page import page
 from edge.clock import ManualClock, SystemClock
@@ -25,7 +26,7 @@ from edge.core.sink_context import Station
 from edge.gateway.commands import Change, CommandPolicy, Commands
 from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared
 from edge.messaging.command_payloads import CommandResponse
-from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
 from edge.page.from_broker import BrokerStation, page_requests
@@ -38,21 +39,6 @@ from plugins.sinks.mqtt_options import MqttOptions
 GELGATE = Path(sys.executable).parent / "gelgate"
 SECRET = b"0123456789abcdef"
 ALL = "gelgate/+/+/+/gel/v1/#"
-
-
-@pytest.fixture
-def broker() -> Iterator[LocalBroker]:
-    if "mosquitto" not in available_brokers():
-        pytest.skip("SKIPPED, NOT TESTED: the broker mosquitto is not installed")
-    with LocalBroker("mosquitto") as running:
-        yield running
-
-
-def until(is_so: Callable[[], object], within_s: float = 60.0) -> None:
-    deadline = time.monotonic() + within_s
-    while not is_so():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def says(broker: LocalBroker, *messages: Message, root: str = ROOT) -> None:
@@ -69,33 +55,33 @@ def listening(broker: LocalBroker, opened: ExitStack, topic_filter: str = ALL) -
     return station
 
 
-def test_it_shows_what_the_broker_has_and_what_comes(broker: LocalBroker) -> None:
+def test_it_shows_what_the_broker_has_and_what_comes(mosquitto: LocalBroker) -> None:
     """The retained messages first: state, gel, alarms and the newest press; its place is in the topic. While the
     broker is away it says so; an alarm that ended is gone, the presses stay."""
     raised = AlarmPayload(time_ns=T0_NS, alarm="gel", text="the gel is due").message()
     newest = Message("last/press", press(1, picture=None)[0].payload, retain=True)
-    says(broker, state("ready"), gel(801, GelState.DUE), raised, newest)
+    says(mosquitto, state("ready"), gel(801, GelState.DUE), raised, newest)
     with ExitStack() as opened:
-        shown = listening(broker, opened).shown
-        until(lambda: shown.presses())
-        says(broker, *press(2))
-        until(lambda: len(shown.presses()) == 2 and shown.presses()[0]["has_picture"])
+        shown = listening(mosquitto, opened).shown
+        wait_until(lambda: shown.presses())
+        says(mosquitto, *press(2))
+        wait_until(lambda: len(shown.presses()) == 2 and shown.presses()[0]["has_picture"])
         station = shown.station()
         assert (station["place"], station["away"]) == ("plant/line1/press2", None)
         assert (station["state"]["state"], station["gel"]["presses"]) == ("ready", 801)
         assert list(station["alarms"]) == ["gel"]
-        says(broker, alarm_cleared("gel"))
-        until(lambda: not shown.station()["alarms"])
-        says(broker, raised)
-        until(lambda: shown.station()["alarms"])
+        says(mosquitto, alarm_cleared("gel"))
+        wait_until(lambda: not shown.station()["alarms"])
+        says(mosquitto, raised)
+        wait_until(lambda: shown.station()["alarms"])
 
-        broker.stop()
-        until(lambda: "trying again" in (shown.station()["away"] or ""))
+        mosquitto.stop()
+        wait_until(lambda: "trying again" in (shown.station()["away"] or ""))
         assert shown.station()["state"]["state"] == "ready"
-        broker.start()
-        until(lambda: "has no message of a station" in (shown.station()["away"] or ""))
-        says(broker, state("ready"))
-        until(lambda: shown.station()["away"] is None)
+        mosquitto.start()
+        wait_until(lambda: "has no message of a station" in (shown.station()["away"] or ""))
+        says(mosquitto, state("ready"))
+        wait_until(lambda: shown.station()["away"] is None)
         assert shown.station()["alarms"] == {}
         assert len(shown.presses()) == 2
 
@@ -107,7 +93,7 @@ def test_a_broker_that_is_away_at_the_start_is_waited_for() -> None:
         opened.callback(station.close)
         assert "no connection to broker 127.0.0.1:" in station.shown.station()["away"]
         station.start()
-        until(lambda: "trying again" in station.shown.station()["away"])
+        wait_until(lambda: "trying again" in station.shown.station()["away"])
 
 
 def unheard() -> BrokerStation:
@@ -163,13 +149,13 @@ def test_a_page_that_listens_no_more_says_so(monkeypatch: pytest.MonkeyPatch) ->
     station = unheard()
     monkeypatch.setattr(station, "listen", lambda: 1 / 0)
     station.start()
-    until(lambda: "listens no more" in station.shown.station()["away"])
+    wait_until(lambda: "listens no more" in station.shown.station()["away"])
     station.close()
 
 
 @pytest.fixture
 def served(
-    broker: LocalBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    mosquitto: LocalBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Callable[..., tuple[int, Store]]]:
     """A station at the broker that serves signed requests, and its page here with this secret; gives port and store."""
     monkeypatch.setenv("PAGE_TOKEN", TOKEN)
@@ -179,11 +165,11 @@ def served(
         policy = CommandPolicy(ROOT, frozenset(), frozenset({"select_part"}), SECRET)
         handlers = {"select_part": lambda asked: Change({"part": asked["name"]}), "replace_gel": None}
         commands = Commands(handlers, policy, store, clock)  # type: ignore[arg-type]
-        opened.callback(sink_of(broker, commands).close)
+        opened.callback(sink_of(mosquitto, commands).close)
 
         def serve(secret: bytes = SECRET) -> tuple[int, Store]:
-            station = listening(broker, opened)
-            until(lambda: station.shown.station()["away"] is None)
+            station = listening(mosquitto, opened)
+            wait_until(lambda: station.shown.station()["away"] is None)
             here = SystemClock()
             settings = PageSettings(token_variable="PAGE_TOKEN")
             server = PageServer(station.shown, settings, page_requests(station, secret, here), here, port=0)
@@ -231,33 +217,33 @@ def test_a_wrong_secret_is_refused_by_the_station(served: Callable[..., tuple[in
     assert [act.outcome for act in store.acts()] == ["refused"]
 
 
-def test_a_station_that_does_not_answer_is_a_sentence(broker: LocalBroker) -> None:
+def test_a_station_that_does_not_answer_is_a_sentence(mosquitto: LocalBroker) -> None:
     """It may have been done: the table of acts there says so."""
-    says(broker, state("lost"))
+    says(mosquitto, state("lost"))
     with ExitStack() as opened:
-        station = BrokerStation(Broker(broker.host, broker.port, "page"), ALL, answer_s=0.2)
+        station = BrokerStation(Broker(mosquitto.host, mosquitto.port, "page"), ALL, answer_s=0.2)
         opened.callback(station.close)
         station.start()
-        until(lambda: station.shown.station()["away"] is None)
+        wait_until(lambda: station.shown.station()["away"] is None)
         with pytest.raises(GelgateError, match=r"did not answer within 0.2 s; `gelgate station acts` there"):
             station.ask("select_part", b'{"transaction":"1"}')
 
 
-def test_a_request_that_is_sent_twice_is_answered_twice(broker: LocalBroker) -> None:
+def test_a_request_that_is_sent_twice_is_answered_twice(mosquitto: LocalBroker) -> None:
     """A browser may repeat it while the first waits; the station does it once."""
-    says(broker, state("ready"))
+    says(mosquitto, state("ready"))
     with ExitStack() as opened:
-        station = listening(broker, opened)
+        station = listening(mosquitto, opened)
         heard: list[Received] = []
-        there = Connection.open(Broker(broker.host, broker.port, "there"), on_received=heard.append)
+        there = Connection.open(Broker(mosquitto.host, mosquitto.port, "there"), on_received=heard.append)
         opened.callback(there.close)
         there.subscribe(f"{ROOT}/cmd/select_part")
-        until(lambda: station.shown.station()["away"] is None)
+        wait_until(lambda: station.shown.station()["away"] is None)
         pool = opened.enter_context(ThreadPoolExecutor())
         both = [pool.submit(station.ask, "select_part", b'{"transaction":"1"}') for _ in range(2)]
-        until(lambda: len(heard) == 2)
+        wait_until(lambda: len(heard) == 2)
         answer = CommandResponse(time_ns=1, transaction="1", verb="select_part", status="ok", error=None)
-        says(broker, Message("cmd/select_part/response", answer.encode()))
+        says(mosquitto, Message("cmd/select_part/response", answer.encode()))
         assert [json.loads(one.result(20))["transaction"] for one in both] == ["1", "1"]
 
 
@@ -267,15 +253,15 @@ def test_nothing_is_asked_while_the_broker_is_away() -> None:
     assert "nothing was asked: no connection to broker 127.0.0.1:1 yet" in json.loads(answer)["error"]
 
 
-def test_the_verb_serves_the_page_until_it_is_interrupted(broker: LocalBroker) -> None:
+def test_the_verb_serves_the_page_until_it_is_interrupted(mosquitto: LocalBroker) -> None:
     """It prints the address; without a secret the page only shows, and says so."""
-    says(broker, state("ready"))
+    says(mosquitto, state("ready"))
     port = free_port()
-    options = ["--port", str(broker.port), "--host", broker.host, "--page-port", str(port)]
+    options = ["--port", str(mosquitto.port), "--host", mosquitto.host, "--page-port", str(port)]
     with subprocess.Popen([GELGATE, "page", *options], stderr=subprocess.PIPE, text=True) as running:
         assert running.stderr is not None
         line = next(line for line in running.stderr if "http" in line)
-        until(lambda: asked(port, "/state.json"))
+        wait_until(lambda: asked(port, "/state.json"))
         changes = asked(port, "/station.json")["changes"]
         running.send_signal(signal.SIGINT)
         assert running.wait(60) == 130

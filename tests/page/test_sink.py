@@ -3,7 +3,6 @@
 import http.client
 import json
 import socket
-import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from page_messages import ROOT, T0_NS, ask, asked, gel, info, press, reference, state, stats
+from waiting import wait_until
 
 from edge.clock import ManualClock
 from edge.core.errors import ConfigError, SinkRejected
@@ -303,12 +303,6 @@ def opened(sink: PageSink) -> list[Any]:
     return list(sink._server._server._open.copy().values())
 
 
-def until(is_so: Callable[[], bool]) -> None:
-    """Wait for the threads of the server."""
-    while not is_so():
-        threading.Event().wait(0.001)
-
-
 WHOLE = b"GET /station.json HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
 WAITING = b"GET /live.json?after=1 HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
 
@@ -328,7 +322,7 @@ def test_slow_clients_shut_nobody_out(sink: PageSink) -> None:
 def test_connections_are_bounded(sink: PageSink) -> None:
     """Where all are answered, one too many is closed at once, without an answer; there is room again when one ends."""
     asking = [connected(sink.port, WAITING) for _ in range(MOST_OF_ONE)]
-    until(lambda: sum(one.due_ns is None for one in opened(sink)) == MOST_OF_ONE)
+    wait_until(lambda: sum(one.due_ns is None for one in opened(sink)) == MOST_OF_ONE)
 
     one_more = connected(sink.port)
     with suppress(ConnectionError):
@@ -347,7 +341,7 @@ def test_a_request_that_takes_too_long_is_left(sink: PageSink, clock: ManualCloc
     """As a whole, with its body: a byte now and then does not keep it."""
     slow = connected(sink.port, sent)
     slow.settimeout(REQUEST_S / 2)  # below the silence after which the server leaves anybody
-    until(lambda: len(opened(sink)) == 1)
+    wait_until(lambda: len(opened(sink)) == 1)
     for _ in range(2):
         clock.sleep(REQUEST_S / 2 - 1)
         slow.sendall(b" ")

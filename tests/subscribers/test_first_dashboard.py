@@ -11,18 +11,20 @@ import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 from ports import free_port
+from real_brokers import require
 from station import MQTT, press_recording, small_bundle, station_config
+from waiting import wait_until
 
 from edge.cli.describe import Format, text_at
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.gateway.build import open_station
-from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker
 from edge.pictures.image_file import texts
 from edge.store.outbox import Outbox
@@ -33,13 +35,11 @@ pytestmark = pytest.mark.subscribers
 INSTALLED = Path(os.environ.get("GELGATE_SUBSCRIBERS", ".venv-subscribers")).absolute()
 ROOT = "gelgate/site/line/station/gel/v1"
 ALL = "gelgate/+/+/+/gel/v1/#"
-WITHIN_S = 60.0
 
 
 @pytest.fixture(scope="module")
 def broker() -> Iterator[LocalBroker]:
-    if "mosquitto" not in available_brokers():
-        pytest.skip("SKIPPED, NOT TESTED: mosquitto is not installed")
+    require("mosquitto")
     with LocalBroker("mosquitto") as running:
         yield running
 
@@ -56,15 +56,8 @@ def config(broker: LocalBroker, tmp_path_factory: pytest.TempPathFactory) -> Pat
     with open_station(loaded, SystemClock()) as gateway:
         gateway.run(threading.Event(), 3)
         with Outbox(loaded.store.path) as outbox:
-            _until(lambda: outbox.status().rows == 0)
+            wait_until(lambda: outbox.status().rows == 0)
     return path
-
-
-def _until(is_so: Callable[[], object], within_s: float = WITHIN_S) -> None:
-    deadline = time.monotonic() + within_s
-    while not is_so():
-        assert time.monotonic() < deadline
-        time.sleep(0.2)
 
 
 def run(words: Sequence[object], given: bytes = b"", cwd: Path | None = None) -> bytes:
@@ -96,7 +89,7 @@ def dashboard(
         server = subprocess.Popen(words, stdout=log, stderr=log, cwd=folder, env=own)
     address = f"http://127.0.0.1:{port}/gelgate/site/line/station"
     try:
-        _until(lambda: b"PASS" in get(address).upper() or server.poll() is not None)
+        wait_until(lambda: b"PASS" in get(address).upper() or server.poll() is not None)
         assert server.poll() is None, f"Node-RED has ended: {(folder / 'log').read_text()[-1000:]}"
         took_s = time.monotonic() - started
         print(f"\nfrom the address of the broker to the verdict in Node-RED: {took_s:.1f} s (budget 600 s)")

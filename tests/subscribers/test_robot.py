@@ -9,12 +9,13 @@ from pathlib import Path
 
 import paho.mqtt.client as mqtt
 import pytest
+from real_brokers import require
 from station import MQTT, press_recording, small_bundle, station_config, variant
 
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.gateway.build import open_station
-from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.messaging.local_broker import LocalBroker
 
 ROBOT = Path(__file__).resolve().parents[2] / "examples" / "lift_when_judged.py"
 ROOT = "gelgate/site/line/station/gel/v1"
@@ -24,8 +25,7 @@ ROOT = "gelgate/site/line/station/gel/v1"
 def test_the_robot_lifts_each_part_once_when_judged(tmp_path: Path, strength: float | None) -> None:
     """In real time: once for each press, with its id. Where presses are too deep it is told to go back instead. The
     film is shown again until three presses were seen: a machine that is busy elsewhere may miss some."""
-    if "mosquitto" not in available_brokers():
-        pytest.skip("SKIPPED, NOT TESTED: mosquitto is not installed")
+    require("mosquitto")
     bundle = small_bundle(tmp_path / "bundle", press_recording(tmp_path / "nominal", 12, seed=1))
     if strength is not None:
         known = {"lowest": strength, "middle": strength, "highest": strength}
@@ -70,8 +70,7 @@ def test_the_robot_lifts_each_part_once_when_judged(tmp_path: Path, strength: fl
 
 def test_the_robot_believes_no_word_that_comes_late() -> None:
     """As those that a broker which hung has kept back: by now another part may lie there. Nor one of a wrong clock."""
-    if "mosquitto" not in available_brokers():
-        pytest.skip("SKIPPED, NOT TESTED: mosquitto is not installed")
+    require("mosquitto")
     with LocalBroker("mosquitto") as broker:
         station = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
         station.connect("127.0.0.1", broker.port)

@@ -14,12 +14,13 @@ from typing import TypeVar
 import cv2
 import numpy as np
 import pytest
+from real_brokers import require
 
 from edge.clock import ManualClock, SystemClock
 from edge.core.ports import Device, DeviceIdentity, Message, Sink
 from edge.core.sink_context import Station
 from edge.extras import is_installed
-from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
 from edge.recording.format import RecordingHeader, RecordingWriter
@@ -251,8 +252,7 @@ def in_a_folder(make: Callable[[Path], BenchT]) -> Iterator[BenchT]:
 
 @contextmanager
 def with_mosquitto(level: str) -> Iterator[MqttBench]:
-    if "mosquitto" not in available_brokers():
-        pytest.skip("SKIPPED, NOT TESTED: the broker mosquitto is not installed")
+    require("mosquitto")
     with (
         LocalBroker("mosquitto", extra="max_packet_size 2000") as broker,
         contextlib.closing(MqttBench(broker, level)) as bench,

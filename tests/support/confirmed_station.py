@@ -1,8 +1,7 @@
 """A station that has judged a few presses of which people may speak, and its bundle, with the tiny detector."""
 
 import shutil
-import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -13,7 +12,6 @@ from command_line import gelgate
 from station import Motion, gel, jpeg, press_recording, station_config
 from stepped_station import SteppedStation
 
-from edge import registry
 from edge.store.acts import CONFIRM, Act
 from edge.store.press_store import Store
 
@@ -21,23 +19,6 @@ from edge.store.press_store import Store
 PLAIN = {"register": "never", "limit": "plain"}
 SETTINGS = [word for name, value in PLAIN.items() for word in ("--set", f"{name}={value}")]
 OPTIONS = ("--part", "bolt", "--method", "tiny", "--backbone", "tiny", *SETTINGS)
-
-
-@pytest.fixture(scope="module")
-def other_package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """The tiny detector and backbone as another distribution installs its own."""
-    site = tmp_path_factory.mktemp("site")
-    info = site / "other_package-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other_package\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(
-        "[gelgate.detectors]\ntiny = tiny:TINY\n[gelgate.backbones]\ntiny = tiny:TINY_BACKBONE\n"
-    )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "path", [*sys.path, str(site)])
-        registry._points.cache_clear()
-        yield
-    registry._points.cache_clear()
 
 
 def fit(nominal: Path, output: Path, *more: object) -> None:

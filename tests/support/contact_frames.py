@@ -2,9 +2,14 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
 
 from edge.core.contact.events import Event, PressNotSettled
 from edge.core.contact.mask import Touch
+from edge.core.contact.reference import View
 from edge.core.contact.rules import step
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import Observation
@@ -61,3 +66,11 @@ def story(events: Iterable[Event]) -> str:
 def pressed(at_ms: float, strength: float, motion: float = 0.01, change: float = 0.0) -> Observation:
     """A frame of a press as deep as this; its sequence is its time in milliseconds."""
     return replace(seen(at_ms, PRESSED, change, motion), strength=strength)
+
+
+def read_view(path: Path) -> View:
+    """Read a real picture as small as the rules see it."""
+    bgr = cv2.imread(str(path))
+    assert bgr is not None
+    small = cv2.resize(bgr, (160, 120), interpolation=cv2.INTER_AREA)
+    return np.ascontiguousarray(small[..., ::-1]).astype(np.float32)

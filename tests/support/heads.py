@@ -142,3 +142,9 @@ def parity(
         top = max(float(np.abs(expected).max()), np.finfo(np.float64).tiny)
         errors.append(float(np.abs(found - expected).max()) / top)
     return oracle, errors[0], errors[1]
+
+
+def around(score_map: np.ndarray, pixel: tuple[int, int]) -> float:
+    """The highest score within 12 pixels."""
+    row, column = pixel
+    return float(score_map[max(row - 12, 0) : row + 13, max(column - 12, 0) : column + 13].max())

@@ -50,6 +50,15 @@ PLACES: Final = tuple(PartPosition("bolt", name) for name in ("left", "middle", 
 SERIAL: Final = "S1"
 WITHIN_S: Final = 600.0
 WORDS: Final = {"pass": 0.85, "fail": 0.06, "unsure": 0.04, "rejected": 0.03, "error": 0.02}
+NEVER: Final = (
+    "passed with a place missing",
+    "lost",
+    "doubled",
+    "another verdict than its presses",
+    "faults of the database",
+)
+"""What must not be, by its name in `World.audit`."""
+
 WRITES: Final = ("INSERT", "UPDATE", "DELETE", "COMMIT")
 
 

@@ -1,10 +1,14 @@
 """A dataset of made pictures in the paper's layout, small enough for studies in tests."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from study_cells import quiet
+
+from calibration.experiments.harness.study import Options
 
 LR, HR = (320, 240), (1280, 720)
 
@@ -27,6 +31,18 @@ def study_dataset(root: Path, part: str = "PZ3", positions: tuple[str, ...] = ("
                     picture[mask > 0] += 60
                 _write(home, name, picture, mask if specimen > 4 else None, is_fine=index == 0)
     return root
+
+
+def options(dataset: Path, output: Path, **changed: Any) -> Options:
+    """Return the options of a small study."""
+    asked: dict[str, Any] = {
+        "methods": ("subspace",),
+        "seeds": 2,
+        "held_out": 2,
+        "fraction": 1.0,
+        "show": quiet,
+    }
+    return Options(dataset=dataset, output=output, **(asked | changed))
 
 
 def _relief(seed: int) -> NDArray[np.float64]:

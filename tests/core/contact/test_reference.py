@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from contact_frames import read_view
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -186,18 +187,12 @@ def test_every_real_press_is_a_touch_whatever_the_exposure(real_tactile: Path, s
     untouched gel under the same ramp is free; without the fit nearly all of it would count as contact."""
     free_name, pattern, count = REAL[source]
 
-    def view(path: Path) -> View:
-        bgr = cv2.imread(str(path))
-        assert bgr is not None
-        small = cv2.resize(bgr, (160, 120), interpolation=cv2.INTER_AREA)
-        return np.ascontiguousarray(small[..., ::-1]).astype(np.float32)
-
-    free = view(real_tactile / source / free_name)
+    free = read_view(real_tactile / source / free_name)
     known = Reference(free)
     paths = sorted((real_tactile / source).glob(pattern))
     assert len(paths) == count
     for path, gain in zip(paths, np.linspace(0.8, 1.2, count), strict=True):
-        press = view(path)
+        press = read_view(path)
         area = touched(touched_mask(known.difference(press))).area
         ramped = np.clip(press * np.float32([gain, 1.0, 2 - gain]), 0, 255).astype(np.float32)
         assert area > 0.015

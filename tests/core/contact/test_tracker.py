@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from contact_frames import read_view
 
 from edge.core.contact.events import (
     Event,
@@ -328,17 +329,11 @@ def test_a_real_gel_under_drifting_light(real_tactile: Path) -> None:
     """A real background and real ball presses, the exposure wandering by a fifth: each press settled once."""
     folder = real_tactile / "rpl-cmu__gelslam"
 
-    def view(path: Path) -> View:
-        bgr = cv2.imread(str(path))
-        assert bgr is not None
-        small = cv2.resize(bgr, (160, 120), interpolation=cv2.INTER_AREA)
-        return np.ascontiguousarray(small[..., ::-1]).astype(np.float32)
-
-    background = view(folder / "background.png")
+    background = read_view(folder / "background.png")
     camera = Camera(ContactTracker(), background)
     camera.wait(1.5)
     camera.events.clear()
-    presses = [view(path) for path in sorted(folder.glob("*mm/*/gelsight.png"))[::6]]
+    presses = [read_view(path) for path in sorted(folder.glob("*mm/*/gelsight.png"))[::6]]
     for i, press in enumerate(presses):
         for shown, frames in ((background, 30), (press, 30), (background, 10)):
             camera.background = shown

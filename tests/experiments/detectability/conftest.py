@@ -4,12 +4,13 @@ from pathlib import Path
 
 import pytest
 from pressed_dome import PROFILE, REGION, Bench, as_files_are_rendered, bench, dome_config, station, write
+from tiny_fit import other_package
 
 from calibration.fitting.fit import fit_files
 from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.simulator.reproducible_math import reproducible_opencv
 
-__all__ = ["as_files_are_rendered", "bench", "station"]
+__all__ = ["as_files_are_rendered", "bench", "other_package", "station"]
 
 
 @pytest.fixture(scope="session")

@@ -1,9 +1,5 @@
 """Judges of a bundle whose bank learnt rendered copies of its presses."""
 
-import sys
-from collections.abc import Iterator
-from pathlib import Path
-
 import numpy as np
 import pytest
 import tiny
@@ -13,21 +9,9 @@ from registered_bundle import PROFILE, fitted, nominal
 from calibration.experiments.detectability.judges import choose_judges
 from calibration.fitting.presses.augmentation import render_copies
 from calibration.fitting.presses.preparation import prepare_as
-from edge import registry
 from edge.model.manifest_facts import copies_of_each
 
-
-@pytest.fixture(autouse=True)
-def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The tiny detector as another distribution installs its own: through an entry point."""
-    info = tmp_path / "other_package-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other_package\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[gelgate.detectors]\ntiny = tiny:TINY\n")
-    monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path)])
-    registry._points.cache_clear()
-    yield
-    registry._points.cache_clear()
+pytestmark = pytest.mark.usefixtures("other_package")
 
 
 def test_a_bank_without_a_press_learns_the_copies_of_the_others() -> None:

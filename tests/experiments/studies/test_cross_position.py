@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import gelgate
-from study_cells import quiet
-from study_dataset import study_dataset
+from study_dataset import options, study_dataset
 
 from calibration.experiments.harness.material import Material, material
 from calibration.experiments.harness.rows import read_rows
-from calibration.experiments.harness.study import Options, make_cells
+from calibration.experiments.harness.study import make_cells
 from calibration.experiments.studies.cross_position_study import (
     CrossPosition,
     hold_out_both,
@@ -23,17 +22,6 @@ from edge.core.errors import DatasetError
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return study_dataset(tmp_path_factory.mktemp("crossed"))
-
-
-def options(dataset: Path, output: Path, **changed: Any) -> Options:
-    asked: dict[str, Any] = {
-        "methods": ("subspace",),
-        "seeds": 2,
-        "held_out": 2,
-        "fraction": 1.0,
-        "show": quiet,
-    }
-    return Options(dataset=dataset, output=output, **(asked | changed))
 
 
 @pytest.fixture(scope="module")

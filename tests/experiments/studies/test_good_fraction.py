@@ -9,14 +9,13 @@ import cv2
 import numpy as np
 import pytest
 from command_line import gelgate
-from study_cells import quiet
-from study_dataset import study_dataset
+from study_dataset import options, study_dataset
 
 from calibration.experiments.harness.material import Material, overrides_for
 from calibration.experiments.harness.pictures import LR_VIEW, PressPictures
 from calibration.experiments.harness.presses import StudyPresses
 from calibration.experiments.harness.rows import read_rows
-from calibration.experiments.harness.study import Options, check_same, make_cells
+from calibration.experiments.harness.study import check_same, make_cells
 from calibration.experiments.studies.good_fraction_study import study_good_fraction
 from calibration.experiments.studies.resolution_study import ViewPlace
 from calibration.fitting.trunks import open_trunk
@@ -28,11 +27,6 @@ METHODS = ("subspace", "padim")
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return study_dataset(tmp_path_factory.mktemp("presses"))
-
-
-def options(dataset: Path, output: Path, **changed: Any) -> Options:
-    asked: dict[str, Any] = {"methods": ("subspace",), "seeds": 2, "held_out": 2, "show": quiet}
-    return Options(dataset=dataset, output=output, **(asked | changed))
 
 
 @pytest.fixture(scope="module")

@@ -3,15 +3,12 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from study_cells import quiet
-from study_dataset import study_dataset
+from study_dataset import options, study_dataset
 
-from calibration.experiments.harness.study import Options
 from calibration.experiments.studies.resolution_study import (
     COMMON,
     VIEWS,
@@ -26,17 +23,6 @@ from edge.core.errors import DatasetError
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return study_dataset(tmp_path_factory.mktemp("fine"), positions=("pos1",))
-
-
-def options(dataset: Path, output: Path, **changed: Any) -> Options:
-    asked: dict[str, Any] = {
-        "methods": ("subspace",),
-        "seeds": 1,
-        "held_out": 2,
-        "fraction": 1.0,
-        "show": quiet,
-    }
-    return Options(dataset=dataset, output=output, **(asked | changed))
 
 
 @pytest.mark.parametrize("name", VIEWS)
@@ -57,7 +43,7 @@ def test_a_bright_place_is_at_its_place_in_the_common_map(name: str) -> None:
 
 def test_a_view_has_a_row_with_common_measures(dataset: Path, tmp_path: Path) -> None:
     """With the shipped trunk; the pool is capped, the same number of presses everywhere."""
-    asked = options(dataset, tmp_path)
+    asked = options(dataset, tmp_path, seeds=1)
     views = ("lr", "hr_tiled", "lr_full")
     rows = study_resolution(replace(asked, views=views, presses=3)).read()
 
@@ -92,9 +78,9 @@ def test_one_resolution_alone_is_refused(tmp_path: Path) -> None:
     for folder in ("rgb", "fault/rgb", "fault/mask"):
         shutil.rmtree(root / "PZ3" / "pos1" / folder)
     with pytest.raises(DatasetError, match=r"no position with both rgb \(1280x720\) and rgb_320x240"):
-        study_resolution(options(root, tmp_path))
+        study_resolution(options(root, tmp_path, seeds=1))
     with pytest.raises(DatasetError, match=r"PZ3/pos1 of dataset .* has pictures of one resolution only"):
-        study_resolution(options(root, tmp_path, parts=("PZ3",)))
+        study_resolution(options(root, tmp_path, seeds=1, parts=("PZ3",)))
 
 
 def test_rows_of_the_other_mode_are_added_in_tiles(
@@ -105,8 +91,8 @@ def test_rows_of_the_other_mode_are_added_in_tiles(
     cv2.imwrite(
         str(copy / "PZ3/pos1/fault/mask_320x240/PZ3_pos1_s005_p01.png"), np.zeros((240, 320), np.uint8)
     )
-    study_resolution(options(copy, tmp_path, fraction=0.5, views=("lr_tiled",), presses=2))
-    asked = options(copy, tmp_path, methods=("padim",), modes=("paper",), fraction=0.5)
+    study_resolution(options(copy, tmp_path, seeds=1, fraction=0.5, views=("lr_tiled",), presses=2))
+    asked = options(copy, tmp_path, seeds=1, methods=("padim",), modes=("paper",), fraction=0.5)
     rows = study_resolution(replace(asked, views=("lr_tiled",), presses=2)).read()
 
     assert [row["mode"] for row in rows] == ["corrected", "paper"]
