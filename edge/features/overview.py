@@ -26,7 +26,7 @@ from edge.core.press import Press, PressLabel
 from edge.core.sentence import Sentence
 from edge.extras import needs
 from edge.press_stage import Alarms, PressStage, Selection, StageParts
-from edge.store.acts import Act
+from edge.store.acts import select_part
 
 __all__ = ["Overview", "read_rules", "say_overview_camera", "still_of"]
 
@@ -116,16 +116,8 @@ class Overview(PressStage):
         return label
 
     def _select(self, part: PartPosition, view: OverviewView) -> None:
-        before = self._selection.part
-        why = Act(
-            self._clock.time_ns(),
-            "the overview camera",
-            "select_part",
-            arguments={"codes": [code.text for code in view.codes]},
-            outcome="done",
-            before={"part": before.part, "position": before.position},
-            after={"part": part.part, "position": part.position},
-        )
+        codes = {"codes": [code.text for code in view.codes]}
+        why = select_part(self._clock.time_ns(), "the overview camera", codes, self._selection.part, part)
         try:
             self._selection.select(part, why, is_pressed=False)  # a press that just begins can still have it
         except StoreError as error:

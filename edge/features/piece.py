@@ -28,7 +28,7 @@ from edge.messaging.piece_payloads import PiecePayload, PieceResultPayload
 from edge.model.inspector import Inspector
 from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
 from edge.store import pieces
-from edge.store.acts import Act
+from edge.store.acts import select_part
 from edge.store.gel_ledger import GelRecord
 from edge.store.ulid import new_ulid
 
@@ -299,14 +299,7 @@ class Pieces(PressStage):
                 Sentence(f"the place {wanted} of the piece has no bundle any more; put it back, and reload")
             )
             return
-        why = Act(
-            self._clock.time_ns(),
-            "the plan of the piece",
-            "select_part",
-            outcome="done",
-            before=before._asdict(),
-            after=wanted._asdict(),
-        )
+        why = select_part(self._clock.time_ns(), "the plan of the piece", {}, before, wanted)
         self._selection.select(wanted, why, is_pressed=self._has_contact)
         self._wanted = None
         self._warn(self._lock)

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
+from edge.core.part_position import PartPosition
 from edge.store import ledger_chain
 from edge.store.database import insert
 
@@ -22,6 +23,7 @@ __all__ = [
     "earlier",
     "finish",
     "newest",
+    "select_part",
     "was_adopted",
 ]
 
@@ -63,6 +65,14 @@ class Act:
     """What the act changes, as far as it is known."""
     after: Mapping[str, Any] | None = None
     act_id: int = 0
+
+
+def select_part(
+    time_ns: int, who: str, arguments: Mapping[str, Any], before: PartPosition, after: PartPosition
+) -> Act:
+    """Make the act of a station that selects a part by itself, done with the selection."""
+    then, now = before._asdict(), after._asdict()
+    return Act(time_ns, who, "select_part", None, arguments, outcome="done", before=then, after=now)
 
 
 def begin(connection: sqlite3.Connection, act: Act, running_ns: int) -> int:

@@ -27,7 +27,7 @@ from edge.core.sentence import Sentence
 from edge.features.handshake.port import PLC, Port
 from edge.model.inspector import Inspector
 from edge.press_stage import Mounted, PressStage, StageParts
-from edge.store.acts import Act
+from edge.store.acts import select_part
 from edge.store.gel_ledger import GelRecord
 
 __all__ = ["HandshakeStage"]
@@ -117,15 +117,7 @@ class HandshakeStage(PressStage):
         if part not in selection.find_all(str(part)):  # a reload has taken its bundle away
             self._miss(Code.UNKNOWN_PART)
             return
-        why = Act(
-            self._clock.time_ns(),
-            PLC,
-            "select_part",
-            arguments=vars(trigger),
-            outcome="done",
-            before={"part": before.part, "position": before.position},
-            after={"part": part.part, "position": part.position},
-        )
+        why = select_part(self._clock.time_ns(), PLC, vars(trigger), before, part)
         try:
             selection.select(part, None if part == before else why, is_pressed=self._has_contact)
         except StoreError as error:
