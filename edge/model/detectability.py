@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError, model_validator
 from edge.core.errors import BundleCorrupt
 from edge.model.manifest_files import Entry
 
-__all__ = ["CARD", "DetectabilityCard", "JudgedBy", "KindCard", "detectability_lines", "read_card"]
+__all__ = ["CARD", "DetectabilityCard", "JudgedBy", "KindCard", "State", "detectability_lines", "read_card"]
 
 CARD = "detectability"
 """The card's name among the manifest's facts."""

@@ -18,17 +18,15 @@ find the global maximum.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special
 
 from edge.core.arrays import F64
+from edge.model.detectability import State
 
-__all__ = ["MIN_TRIALS", "Pod", "State", "fit_pod"]
-
-State = Literal["fitted", "separated", "blind", "too few"]
+__all__ = ["MIN_TRIALS", "Pod", "fit_pod"]
 
 MIN_TRIALS = 4
 """With fewer trials the bound says nothing: of three, each found, every curve is possible."""

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 
 from edge.core.detector import Mode
 
-__all__ = ["Cell", "Setting", "Split"]
+__all__ = ["Cell", "Result", "Setting", "Split"]
 
 # Of the key: a change in what a cell means gives it another key, so that old rows are not taken for new ones.
 CELL_FORMAT = 1
@@ -64,3 +64,7 @@ class Cell:
         """The fields of a row that name the cell: its key, its fields, and its settings as columns of their own."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "settings"}
         return {"key": self.key, **fields, **dict(self.settings)}
+
+
+Result = tuple[Cell, Mapping[str, Any]]
+"""A cell, and the columns that it measures."""

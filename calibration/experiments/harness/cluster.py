@@ -6,7 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from calibration.experiments.harness.cells import Cell
+from calibration.experiments.harness.cells import Cell, Result
 from edge.core.errors import ConfigError, StoreError
 
 __all__ = ["check_address", "on_cluster"]
@@ -16,8 +16,6 @@ ANSWER_WITHIN_S = 10.0
 
 _LOOK_EVERY_S = 0.5
 """How often to look whether the scheduler is still there, while no cell is done."""
-
-Result = tuple[Cell, Mapping[str, Any]]
 
 
 def on_cluster(

@@ -3,18 +3,16 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from calibration.experiments.harness.cells import Cell
+from calibration.experiments.harness.cells import Cell, Result
 from calibration.experiments.harness.rows import Rows
 from calibration.progress import Show
 from edge.core.errors import DatasetError, FitError, NotScorable, StoreError
 
-__all__ = ["Result", "run"]
+__all__ = ["run"]
 
 Evaluate = Callable[[Cell], Mapping[str, Any]]
 """What a cell measures: the columns of its row without those that name the cell. It must be picklable: a function of a
 module, or a frozen value with `__call__`."""
-
-Result = tuple[Cell, Mapping[str, Any]]
 
 MOST_DEATHS = 3
 """Rounds in which workers die and no cell is finished, before the study gives up."""
