@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from chromium import BROWSER_MS, wait_until
+from chromium import open_tab, wait_until
 from command_line import gelgate
 from page_messages import ROOT, ask
 
@@ -73,10 +73,8 @@ def test_every_page_is_there_and_every_link_leads_to_a_page_and_its_heading(site
 def test_it_is_read_and_searched_in_a_browser_without_a_network(browser: Any, page: PageSink) -> None:
     """From the link on the station's page to a page that the search finds; nothing is asked of another machine, and no
     script is refused."""
-    tab = browser.new_page(viewport={"width": 1280, "height": 800})
-    tab.set_default_timeout(BROWSER_MS)
+    tab = open_tab(browser, page.port, viewport={"width": 1280, "height": 800})
     said: list[str] = []
-    tab.goto(f"http://127.0.0.1:{page.port}/")
     tab.wait_for_selector("#manual", state="visible")
     tab.on("console", lambda message: said.append(message.text))
     tab.on("pageerror", lambda error: said.append(str(error)))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from chromium import BROWSER_MS, wait_until
+from chromium import BROWSER_MS, open_tab, wait_until
 from page_messages import PICTURE, ROOT, T0_NS, TOKEN, contact, drift, gel, info, piece, press, state, stats
 from ports import free_port
 from station import MQTT, Motion, press_recording, station_config, two_parts
@@ -284,9 +284,7 @@ def test_a_pass_is_shown_only_while_the_station_inspects(tab: Any, sink: PageSin
 
 def test_a_gateway_that_is_gone_is_seen(browser: Any, sink: PageSink) -> None:
     """The page says so, and the last verdict is grey: it is not news."""
-    one = browser.new_page()
-    one.set_default_timeout(BROWSER_MS)
-    one.goto(f"http://127.0.0.1:{sink.port}/")
+    one = open_tab(browser, sink.port)
 
     sink.close()
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
-from chromium import BROWSER_MS, wait_until
+from chromium import BROWSER_MS, open_tab, wait_until
 from page_messages import press
 from page_pictures import READY, SCENES, TOKEN, Scene, served
 from station_sentences import find_sentences
@@ -165,18 +165,15 @@ def test_every_sentence_of_the_station_is_found_by_its_words(browser: Any, langu
     def fill(text: str) -> str:
         return re.sub(r"\{(\w+)\}", r"<\1>", text)
 
-    context = browser.new_context(locale=language)
-    tab = context.new_page()
-    tab.set_default_timeout(BROWSER_MS)
     with served(Scene(READY)) as port:
-        tab.goto(f"http://127.0.0.1:{port}/")
+        tab = open_tab(browser, port, locale=language)
         wait_until(tab, "patterns.length > 0")
         told = dict(
             zip(sentences, tab.evaluate("(all) => all.map(tell)", [*map(fill, sentences)]), strict=True)
         )
         due = "gel part is due: 1 of 2 presses; then `gelgate gel replace`"
         joined = tab.evaluate("tell", f"mqtt: no; {due}; no mark of the free gel explains it; constructor")
-    context.close()
+        tab.close()
 
     assert {text: said for text, said in told.items() if said != fill(sentences[text])} == {}
     first, end = (

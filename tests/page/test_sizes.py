@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from chromium import BROWSER_MS, wait_until
+from chromium import open_tab, wait_until
 from page_messages import PICTURE, T0_NS, drift, gel, info, press, state, stats
 
 from edge.core.gel_life import GelState
@@ -45,9 +45,7 @@ def test_press_and_heatmap_need_no_scrolling(browser: Any, sink: PageSink, size:
         *failed,
     ):
         sink.send(message)
-    tab = browser.new_page(viewport={"width": size[0], "height": size[1]})
-    tab.set_default_timeout(BROWSER_MS)
-    tab.goto(f"http://127.0.0.1:{sink.port}/")
+    tab = open_tab(browser, sink.port, viewport={"width": size[0], "height": size[1]})
     tab.wait_for_selector("#charts li.shifted")
     wait_until(tab, "document.getElementById('picture').complete")
 
@@ -67,9 +65,7 @@ def test_a_phone_shows_the_worst_alarm_and_a_line_opens_the_others(browser: Any,
     for alarm, severity in (("gel", "warning"), ("receiver", "warning"), ("outbox_full", "error")):
         text = f"{alarm}: {TEXT}"
         sink.send(AlarmPayload(time_ns=T0_NS, alarm=alarm, text=text, severity=severity).message())  # type: ignore[arg-type]
-    tab = browser.new_page(viewport={"width": 390, "height": 844})
-    tab.set_default_timeout(BROWSER_MS)
-    tab.goto(f"http://127.0.0.1:{sink.port}/")
+    tab = open_tab(browser, sink.port, viewport={"width": 390, "height": 844})
     tab.wait_for_selector("#alarms .alarm")
 
     seen = "[...document.querySelectorAll('#alarms .alarm')].filter(row => row.checkVisibility()).length"

@@ -22,6 +22,14 @@ def wait_until(tab: Any, expression: str) -> None:
         tab.wait_for_timeout(10)
 
 
+def open_tab(browser: Any, port: int, **options: Any) -> Any:
+    """Open what is served at this port of this machine; options: of the browser's `new_page`."""
+    tab = browser.new_page(**options)
+    tab.set_default_timeout(BROWSER_MS)
+    tab.goto(f"http://127.0.0.1:{port}/")
+    return tab
+
+
 @contextmanager
 def chromium() -> Iterator[Any]:
     """A playwright browser; the test is skipped, and says so, where there is none."""

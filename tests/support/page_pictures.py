@@ -11,7 +11,7 @@ from unittest import mock
 
 import cv2
 import numpy as np
-from chromium import BROWSER_MS, chromium, wait_until
+from chromium import chromium, open_tab, wait_until
 from page_messages import PICTURE, T0_NS, gel, info, press, state, stats
 
 from edge.clock import SystemClock
@@ -112,11 +112,8 @@ def picture_of(browser: Any, scene: Scene) -> bytes:
     """PNG with a palette of 256 colours, so that it is small."""
     width, height = scene.size
     with served(scene) as port:
-        tab = browser.new_page(
-            viewport={"width": width, "height": height}, color_scheme="dark" if scene.is_dark else "light"
-        )
-        tab.set_default_timeout(BROWSER_MS)
-        tab.goto(f"http://127.0.0.1:{port}/")
+        scheme = "dark" if scene.is_dark else "light"
+        tab = open_tab(browser, port, viewport={"width": width, "height": height}, color_scheme=scheme)
         tab.wait_for_selector(scene.waits_for)
         wait_until(tab, "document.getElementById('picture').complete")
         if scene.is_unlocked:
