@@ -6,7 +6,8 @@ A gel without dust and scars, lamps as at the fit, a fifth of the pieces damaged
 """
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,6 +21,7 @@ from calibration.experiments.month.gel import MountedGel
 from calibration.experiments.month.plan import Month, PlannedPress
 from calibration.experiments.month.run import fit_first
 from calibration.fitting.presses import preparation
+from edge.core.arrays import U8
 from edge.core.errors import PoseNotFound
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
@@ -31,8 +33,7 @@ _DAMAGED_SHARE, _DAYS, _SOUND_EVERY = 0.2, 9, 3
 
 def measure(part: int, folder: Path) -> list[list[str]]:
     """Measure a part: a row of the table with smoothing, and one without."""
-    shares = patch.object(plan, "_DAMAGED_SHARE", _DAMAGED_SHARE)
-    with shares, patch.object(Month, "scars", lambda *_: ()):
+    with damaged_months():
         month = Month("development", part, 3000)
         gel, presses = MountedGel(month), list(_choose(month))
         smoothed = fit_first(gel, folder / "smoothed")
@@ -42,6 +43,20 @@ def measure(part: int, folder: Path) -> list[list[str]]:
         scores = np.array([_score(gel, press, scorers) for press in presses]).T
     is_damaged = np.array([press.truth == "damaged" for press in presses])
     return [_row(f"{part}, {name}", scores[k], is_damaged) for k, name in enumerate(("smoothed", "as it is"))]
+
+
+@contextmanager
+def damaged_months() -> Iterator[None]:
+    """Inside, a fifth of the pieces of a month are damaged, and its gels have no scars."""
+    shares = patch.object(plan, "_DAMAGED_SHARE", _DAMAGED_SHARE)
+    with shares, patch.object(Month, "scars", lambda *_: ()):
+        yield
+
+
+def see(frame: bytes, bundle: Bundle) -> U8:
+    """Return the region of a frame that the bundle inspects."""
+    picture = decode(CameraFrame(frame, 0, 0, is_on_demand=True), bundle.profile)
+    return np.ascontiguousarray(bundle.region.crop(picture))
 
 
 def _choose(month: Month) -> Iterator[PlannedPress]:
@@ -57,9 +72,8 @@ def _score(gel: MountedGel, press: PlannedPress, scorers: list[Scorer]) -> list[
     found = []
     for scorer in scorers:
         bundle = scorer.bundle
-        picture = decode(CameraFrame(frames[len(frames) // 2], 0, 0, is_on_demand=True), bundle.profile)
         try:
-            score = scorer.score(np.ascontiguousarray(bundle.region.crop(picture))).anomaly_score
+            score = scorer.score(see(frames[len(frames) // 2], bundle)).anomaly_score
             found.append(score / bundle.manifest.threshold.value)
         except PoseNotFound:
             found.append(np.inf)
@@ -73,16 +87,17 @@ def _row(name: str, scores: np.ndarray, is_damaged: np.ndarray) -> list[str]:
     return [name, str(len(sound)), str(len(damaged)), f"{np.mean(sound > 1):.3f}", *missed]
 
 
-def main() -> None:
+def main(measure: Callable[[int, Path], list[list[str]]], head: list[str], usage: str | None) -> None:
+    """Measure each part that is named, and print the table."""
     if not sys.argv[1:]:
-        raise SystemExit(__doc__)
+        raise SystemExit(usage)
     rows = []
     with TemporaryDirectory() as folder:
         for part in map(int, sys.argv[1:]):
             rows += measure(part, Path(folder) / str(part))
-    head = ["part", "sound", "damaged", "sound that fail", "damaged that pass", "at 1 %", "at 5 %"]
     print(markdown_table(head, rows))
 
 
 if __name__ == "__main__":
-    main()
+    head = ["part", "sound", "damaged", "sound that fail", "damaged that pass", "at 1 %", "at 5 %"]
+    main(measure, head, __doc__)

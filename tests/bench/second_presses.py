@@ -8,25 +8,19 @@ a month, and judges pieces of the days after it on the gel of the fit and on ano
 pressed three times. A second press is asked for above the threshold, up to the bound of `PressAgain` by default.
 """
 
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice, permutations
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import NamedTuple
-from unittest.mock import patch
 
 import numpy as np
+from month_presses import damaged_months, main, see
 
-from calibration.experiments.harness.markdown import markdown_table
-from calibration.experiments.month import plan
 from calibration.experiments.month.gel import MountedGel
 from calibration.experiments.month.plan import Month, PlannedPress
 from calibration.experiments.month.run import fit_first
 from edge.core.errors import PoseNotFound
-from edge.core.imaging.decode import decode
-from edge.core.imaging.frames import CameraFrame
 from edge.core.press import Press
 from edge.core.press_again import AGREED, SeenScores, is_asked, score_both
 from edge.features.press_again import find_seen
@@ -34,7 +28,7 @@ from edge.model.again_facts import DEFAULT_COSTS, plan_for
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 
-_DAMAGED_SHARE, _DAYS, _SOUND_EVERY, _PRESSES = 0.2, 15, 9, 3
+_DAYS, _SOUND_EVERY, _PRESSES = 15, 9, 3
 RULES = {"one press": None, "lower score": 0.0} | {
     f"both show {share:g}": share for share in (0.9, AGREED, 1.0)
 }
@@ -52,8 +46,7 @@ class Piece(NamedTuple):
 
 def measure(part: int, folder: Path) -> list[list[str]]:
     """Return the rows of a part: on the gel of the fit, and on another one."""
-    shares = patch.object(plan, "_DAMAGED_SHARE", _DAMAGED_SHARE)
-    with shares, patch.object(Month, "scars", lambda *_: ()):
+    with damaged_months():
         month = Month("development", part, 3000)
         bundle = Bundle.load(fit_first(MountedGel(month), folder))
         scorer = Scorer(bundle, 1)
@@ -78,9 +71,8 @@ def _press(gel: MountedGel, press: PlannedPress, scorer: Scorer) -> Piece | None
     bundle, presses = scorer.bundle, list[Press]()
     for attempt in range(_PRESSES):
         _, held = islice(gel.press(press, attempt), 2)
-        picture = decode(CameraFrame(held, 0, 0, is_on_demand=True), bundle.profile)
         try:
-            found = scorer.score(np.ascontiguousarray(bundle.region.crop(picture)))
+            found = scorer.score(see(held, bundle))
         except PoseNotFound:
             return None
         verdict = bundle.manifest.decide(found.anomaly_score)
@@ -121,23 +113,6 @@ def _fail(piece: Piece, share: float | None) -> float:
     return float(np.mean(found))
 
 
-def main() -> None:
-    if not sys.argv[1:]:
-        raise SystemExit(__doc__)
-    rows = []
-    with TemporaryDirectory() as folder:
-        for part in map(int, sys.argv[1:]):
-            rows += measure(part, Path(folder) / str(part))
-    head = [
-        "part",
-        "pieces, sound and damaged",
-        "decided by",
-        "sound that fail",
-        "damaged that pass",
-        "pressed twice",
-    ]
-    print(markdown_table(head, rows))
-
-
 if __name__ == "__main__":
-    main()
+    head = ["part", "pieces, sound and damaged", "decided by", "sound that fail", "damaged that pass"]
+    main(measure, [*head, "pressed twice"], __doc__)
