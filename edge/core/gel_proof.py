@@ -93,15 +93,21 @@ class GelProof:
 
 
 def first_proof(
-    made: MadeOn, gel_id: str, mounted: str | None, used_on: str | None = None, was_in_use: bool = False
+    made: MadeOn,
+    gel_id: str,
+    mounted: str | None,
+    used_on: str | None = None,
+    was_in_use: bool = False,
+    is_restored: bool = False,
 ) -> GelProof:
     """Begin the proof of a bundle that is used on this gel for the first time.
 
     mounted: the date of the gel; None for the first gel of a sensor, which may be older than the record of it. used_on:
     the gel on which the bundle was used last. was_in_use: it inspected here before this gel was mounted.
+    is_restored: the database was lost, and with it what was used on which gel.
 
     A bundle that names its gel is taken at its word. Any other is taken as made on the gel on which it is used first,
-    unless it was used, or made, before that gel was mounted.
+    unless it was used, or made, before that gel was mounted, or may have been.
     """
     if made.gel_id is not None:
         is_same = made.gel_id == gel_id
@@ -114,6 +120,8 @@ def first_proof(
         return GelProof(None, Sentence(f"it was used on gel {used_on}"))
     if was_in_use:
         return GelProof(None, Sentence("it inspected here before this gel was mounted"))
+    if is_restored:
+        return GelProof(None, Sentence("the database was lost, so it is not known on which gel it was used"))
     if mounted is not None and made.created < mounted:
         return GelProof(
             None, Sentence(f"it was made on {made.created}, and the gel was mounted on {mounted}")

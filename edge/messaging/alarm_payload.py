@@ -68,8 +68,8 @@ ALARMS: Final[Mapping[str, Alarm]] = {
         title="A receiver works with a fault",
     ),
     "counts": Alarm(
-        "look for the lost database file; if it is gone the count is right and only unsent results are "
-        "lost; then acknowledge it",
+        "look for the lost database file; if it is gone the count is right, and its history, unsent results, proofs "
+        "and what people said and did are lost; then acknowledge it",
         stays=True,
         title="Counts were corrected",
     ),

@@ -7,13 +7,17 @@ as history. A row is one mounting: a gel that is mounted again, by its own seria
 import sqlite3
 from dataclasses import dataclass, replace
 from datetime import date
+from typing import Final
 
 from edge.core.errors import StoreError
 from edge.core.gel_life import DEFAULT_WARN_FRACTION, LONGEST_ID, GelLabel, GelState, is_past, state_of
 from edge.core.sentence import Sentence
 from edge.store import ledger_chain
 
-__all__ = ["GelRecord", "add_presses", "count_press", "find_mounted", "history", "mount"]
+__all__ = ["RESTORED", "GelRecord", "add_presses", "count_press", "find_mounted", "history", "mount"]
+
+RESTORED: Final = "restored from the second record"
+"""The note of a gel that a lost database does not know any more (`edge.store.press_counts`)."""
 
 _COLUMNS = (
     "serial, gel_id, presses, limit_presses, installed_ns, first_use_ns, last_use_ns, removed_ns, wear_index, "

@@ -12,6 +12,7 @@ from edge.core.errors import ArchiveError
 from edge.core.gel_proof import GelProof, MadeOn, Proven, first_proof
 from edge.core.part_position import PartPosition
 from edge.core.person_verdict import settle
+from edge.store.gel_ledger import RESTORED
 from edge.store.person_verdicts import read_verdicts
 from edge.store.press_archive import ArchiveFolder
 
@@ -157,10 +158,10 @@ def of_mounted(connection: sqlite3.Connection) -> list[tuple[GelBundle, PartPosi
     return [(GelBundle(*row[:3]), PartPosition(*row[3:5]), _proof(row[5:])) for row in rows]
 
 
-def _used_before(connection: sqlite3.Connection, key: GelBundle) -> tuple[str | None, str | None, bool]:
-    """Read `mounted`, `used_on` and `was_in_use` of `first_proof`."""
-    installed_ns, is_first = connection.execute(
-        "SELECT installed_ns, NOT EXISTS (SELECT 1 FROM gels AS old WHERE old.serial = gels.serial AND "
+def _used_before(connection: sqlite3.Connection, key: GelBundle) -> tuple[str | None, str | None, bool, bool]:
+    """Read `mounted`, `used_on`, `was_in_use` and `is_restored` of `first_proof`."""
+    installed_ns, note, is_first = connection.execute(
+        "SELECT installed_ns, note, NOT EXISTS (SELECT 1 FROM gels AS old WHERE old.serial = gels.serial AND "
         "old.removed_ns IS NOT NULL) FROM gels WHERE serial = ? AND gel_id = ?",
         (key.serial, key.gel_id),
     ).fetchone()
@@ -172,7 +173,8 @@ def _used_before(connection: sqlite3.Connection, key: GelBundle) -> tuple[str | 
         "SELECT 1 FROM bundles_in_use WHERE bundle_id = ? AND time_ns < ?", (key.bundle_id, installed_ns)
     ).fetchone()
     mounted = None if is_first else f"{datetime.fromtimestamp(installed_ns / 1e9):%Y-%m-%d}"
-    return mounted, None if used_on is None else str(used_on[0]), was_in_use is not None and not is_first
+    is_used = was_in_use is not None and not is_first
+    return mounted, None if used_on is None else str(used_on[0]), is_used, note == RESTORED
 
 
 def _proof(row: tuple[str | None, str, int, int]) -> GelProof:

@@ -211,7 +211,7 @@ def _restore_gel(connection: sqlite3.Connection, known: Count, serial: str, time
             known.presses,
             known.limit_presses,
             time_ns,
-            "restored from the second record",
+            gel_ledger.RESTORED,
             known.gel_serial,
             known.use_by,
         ),

@@ -17,6 +17,12 @@ OLD = MadeOn("2026-03-01")
         (MadeOn("2026-03-01", "G1"), None, {}, "it was made on gel G1"),
         (OLD, None, {"used_on": "G1"}, "it was used on gel G1"),
         (OLD, None, {"was_in_use": True}, "it inspected here before this gel was mounted"),
+        (
+            OLD,
+            None,
+            {"is_restored": True},
+            "the database was lost, so it is not known on which gel it was used",
+        ),
         (OLD, "2026-03-02", {}, "it was made on 2026-03-01, and the gel was mounted on 2026-03-02"),
     ],
 )

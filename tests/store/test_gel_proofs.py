@@ -4,6 +4,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from recorded_presses import count, make_press
 
 from edge.core.gel_proof import GelProof, MadeOn, Proven
 from edge.core.part_position import PartPosition
@@ -67,6 +68,26 @@ def test_a_bundle_made_before_the_gel_was_mounted_is_not_proven(mounted: Store) 
     assert old.proven is Proven.FIRST_USE
     assert see(mounted, key(2, "c" * 64)).known_from.startswith("it was made on 2026-01-31, and the gel was")
     assert see(mounted, key(2, "d" * 64), MadeOn("2099-01-01")).proven is Proven.FIRST_USE
+
+
+def test_nothing_is_proven_on_the_gel_of_a_lost_database(mounted: Store, path: Path) -> None:
+    """The second record does not know where a bundle was used; one that names the gel is proven."""
+    see(mounted, key(1))
+    mounted.replace_gel(SERIAL, T0 + DAY_NS)
+    count(mounted, make_press(1, serial=SERIAL))
+    assert see(mounted, key(2)).proven is None
+    mounted.close()
+    path.unlink()
+
+    with Store(path) as again:
+        assert again.gel(SERIAL, T0 + 2 * DAY_NS).gel_id == key(2).gel_id
+        of_bundle, of_gel = (
+            see(again, key(2)),
+            see(again, key(2, "c" * 64), MadeOn("2026-01-31", key(2).gel_id)),
+        )
+
+    assert (of_bundle.proven, of_gel.proven) == (None, Proven.MADE)
+    assert of_bundle.known_from == "the database was lost, so it is not known on which gel it was used"
 
 
 def test_counts_outlive_the_process(mounted: Store, path: Path) -> None:
