@@ -103,8 +103,8 @@ def first_proof(
     """Begin the proof of a bundle that is used on this gel for the first time.
 
     mounted: the date of the gel; None for the first gel of a sensor, which may be older than the record of it. used_on:
-    the gel on which the bundle was used last. was_in_use: it inspected here before this gel was mounted.
-    is_restored: the database was lost, and with it what was used on which gel.
+    the gel on which the bundle was used last. was_in_use: it inspected here, or was a shadow, before this gel was
+    mounted. is_restored: the database was lost, and with it what was used on which gel.
 
     A bundle that names its gel is taken at its word. Any other is taken as made on the gel on which it is used first,
     unless it was used, or made, before that gel was mounted, or may have been.

@@ -6,7 +6,7 @@ Functions that take a connection run inside the caller's transaction.
 import sqlite3
 from contextlib import suppress
 from datetime import datetime
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from edge.core.errors import ArchiveError
 from edge.core.gel_proof import GelProof, MadeOn, Proven, first_proof
@@ -15,6 +15,7 @@ from edge.core.person_verdict import settle
 from edge.store.gel_ledger import RESTORED
 from edge.store.person_verdicts import read_verdicts
 from edge.store.press_archive import ArchiveFolder
+from edge.store.ulid import new_ulid
 
 __all__ = [
     "GelBundle",
@@ -41,6 +42,9 @@ class GelBundle(NamedTuple):
         """Name the bundle and its part in messages."""
         return f"{part} ({self.bundle_id[:8]})"
 
+
+# The newest presses before a gel was mounted, among which one that a bundle has judged as the shadow is looked for.
+_LOOKED_AT: Final = 10_000
 
 _OF = "serial = ? AND gel_id = ? AND bundle_id = ?"
 
@@ -170,7 +174,10 @@ def _used_before(connection: sqlite3.Connection, key: GelBundle) -> tuple[str | 
         (key.serial, key.bundle_id),
     ).fetchone()
     was_in_use = connection.execute(
-        "SELECT 1 FROM bundles_in_use WHERE bundle_id = ? AND time_ns < ?", (key.bundle_id, installed_ns)
+        "SELECT 1 FROM bundles_in_use WHERE bundle_id = ? AND time_ns < ? UNION ALL SELECT 1 FROM ("
+        "SELECT shadow FROM presses WHERE press_id < ? ORDER BY press_id DESC LIMIT ?) "
+        "WHERE json_extract(shadow, '$.bundle_id') = ? LIMIT 1",
+        (key.bundle_id, installed_ns, new_ulid(installed_ns, bytes), _LOOKED_AT, key.bundle_id),
     ).fetchone()
     mounted = None if is_first else f"{datetime.fromtimestamp(installed_ns / 1e9):%Y-%m-%d}"
     is_used = was_in_use is not None and not is_first

@@ -8,6 +8,7 @@ from recorded_presses import count, make_press
 
 from edge.core.gel_proof import GelProof, MadeOn, Proven
 from edge.core.part_position import PartPosition
+from edge.core.press import ShadowVerdict
 from edge.store import gel_proofs
 from edge.store.gel_proofs import GelBundle
 from edge.store.press_store import Store
@@ -58,6 +59,18 @@ def test_a_bundle_that_inspected_before_the_table_was_there_is_unproven_on_a_new
     mounted.replace_gel(SERIAL, T0 + DAY_NS)
 
     assert see(mounted, key(2)).known_from == "it inspected here before this gel was mounted"
+
+
+def test_a_shadow_of_the_gel_before_is_unproven_on_a_new_gel(mounted: Store) -> None:
+    """Also one that was made on the day of the change; one that has judged presses of this gel alone is of this gel."""
+    before, since = (ShadowVerdict(one * 64, "b" * 64, "pass", 0.1, 1.0).encode() for one in "cd")
+    count(mounted, make_press(1, shadow=before))
+    mounted.replace_gel(SERIAL, T0 + 2 * DAY_NS)
+    count(mounted, make_press(3 * DAY_NS // 10**9, shadow=since))
+    young = MadeOn("2099-01-01")
+
+    assert see(mounted, key(2, "c" * 64), young).known_from == "it inspected here before this gel was mounted"
+    assert see(mounted, key(2, "d" * 64), young).proven is Proven.FIRST_USE
 
 
 def test_a_bundle_made_before_the_gel_was_mounted_is_not_proven(mounted: Store) -> None:
