@@ -21,7 +21,7 @@ from edge.messaging.command_payloads import NoArguments
 from edge.messaging.result_payload import ShadowPart
 from edge.model.inspector import Inspector
 from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
-from edge.store.acts import TAKE_OVER, Act, was_adopted
+from edge.store.acts import TAKE_OVER, Act, find_unseen_takeover, was_adopted
 from edge.store.database import open_read_only
 from edge.store.gel_ledger import GelRecord
 from edge.store.gel_proofs import GelBundle, unproven_since
@@ -68,6 +68,7 @@ class Shadow(PressStage):
         self._next_weighing_ns = -math.inf
         self.worker: Background[None] = Background("shadow", CLOSE_S)
         self._gel: tuple[str, str] | None = None
+        self._has_looked = False  # for a takeover of before the start
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
@@ -142,6 +143,9 @@ class Shadow(PressStage):
 
     def turn(self, mounted: Mounted | None) -> None:
         """Exchange the bundles where that was asked for, while nothing is pressed. Errors: StoreError."""
+        if not self._has_looked:
+            self._say_earlier()
+            self._has_looked = True
         faults = [*self._selection.shadow_faults]
         if self._fault is not None and self._fault[0] is self._selection.shadow:
             faults.append(Sentence(f"the shadow of {self._selection.part} {self._fault[1]}"))
@@ -168,9 +172,7 @@ class Shadow(PressStage):
                 after={"bundle_id": wish.after, "why": wish.why},
             )
             self._selection.exchange(why)
-            text = Sentence(
-                f"bundle {wish.after[:12]} inspects {wish.part} instead of {wish.before[:12]}: {wish.why}"
-            )
+            text = _describe(why)
         else:
             text = Sentence(
                 f"bundle {wish.after[:12]} has not taken over: another part or bundle is in use; ask again"
@@ -178,6 +180,16 @@ class Shadow(PressStage):
         self._exchange = None
         log.warning("%s", text)
         self._alarms.say("takeover", text, "warning")
+
+    def _say_earlier(self) -> None:
+        """Say a takeover of before the start that nobody has acknowledged, unless its part is inspected otherwise."""
+        takeover = self._store.read("reading the newest takeover", find_unseen_takeover)
+        if takeover is None:
+            return
+        in_use = self._selection.inspector.bundle.digest
+        is_selected = takeover.arguments == self._selection.part._asdict()
+        if not is_selected or (takeover.after or {}).get("bundle_id") == in_use:
+            self._alarms.say("takeover", _describe(takeover), "warning")
 
     def _ids(self) -> tuple[PartPosition, str, str] | None:
         """Give the part inspected now, its bundle and the shadow; None without one."""
@@ -290,6 +302,13 @@ class Shadow(PressStage):
             "the bundle that inspects",
         ),
     )
+
+
+def _describe(takeover: Act) -> Sentence:
+    """Say which bundle inspects and why."""
+    part, why = PartPosition(**takeover.arguments), (takeover.after or {}).get("why")
+    before, after = (str((one or {}).get("bundle_id")) for one in (takeover.before, takeover.after))
+    return Sentence(f"bundle {after[:12]} inspects {part} instead of {before[:12]}: {why}")
 
 
 def _score(press: Press, shadow: Inspector, inspector: Inspector) -> Press:

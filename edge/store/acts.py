@@ -21,6 +21,7 @@ __all__ = [
     "Outcome",
     "begin",
     "earlier",
+    "find_unseen_takeover",
     "finish",
     "newest",
     "select_part",
@@ -139,6 +140,17 @@ def was_adopted(connection: sqlite3.Connection, bundle_id: str) -> bool:
     """Tell whether this bundle has ever taken another one's place."""
     query = "SELECT 1 FROM acts WHERE verb = ? AND json_extract(after, '$.bundle_id') = ? LIMIT 1"
     return connection.execute(query, (TAKE_OVER, bundle_id)).fetchone() is not None
+
+
+def find_unseen_takeover(connection: sqlite3.Connection) -> Act | None:
+    """Find the newest takeover; None where there is none, or somebody has acknowledged its alarm since."""
+    row = connection.execute(
+        f"SELECT {_COLUMNS} FROM acts WHERE verb = ? AND act_id > coalesce((SELECT max(act_id) FROM acts WHERE "
+        "verb = 'acknowledge_alarm' AND outcome = 'done' AND json_extract(arguments, '$.alarm') = 'takeover'), 0) "
+        "ORDER BY act_id DESC LIMIT 1",
+        (TAKE_OVER,),
+    ).fetchone()
+    return None if row is None else _act(row)
 
 
 def newest(connection: sqlite3.Connection, limit: int) -> list[Act]:

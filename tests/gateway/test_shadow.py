@@ -173,6 +173,28 @@ def test_a_shadow_takes_over_by_itself_once_and_not_where_it_was_taken_back(
     assert station.results[-1].bundle_id == Bundle.load(bundle).digest
 
 
+def test_a_takeover_is_an_alarm_until_somebody_acknowledges_it(
+    shadowed: Shadowed, bundle: Path, shadow: Path, few: None
+) -> None:
+    """Over restarts, while the bundle that has taken over inspects."""
+    config = shadowed(bundle, shadow)
+    with SteppedStation(config) as station:
+        station.play_presses(1)
+        adopt(station)
+        text = station.alarm("takeover")
+    with SteppedStation(config) as again:
+        again.turn()
+        after_restart = again.alarm("takeover")
+        act = Act(1, "kim, at the page", "acknowledge_alarm", None, {"alarm": "takeover"}, outcome="done")
+        again.parts.store.begin_act(act, 0)
+    with SteppedStation(config) as last:
+        last.turn()
+        acknowledged = last.alarm("takeover")
+
+    assert text is not None
+    assert (after_restart, acknowledged) == (text, None)
+
+
 def test_a_takeover_waits_for_a_press_end(shadowed: Shadowed, bundle: Path, shadow: Path, few: None) -> None:
     with SteppedStation(shadowed(bundle, shadow)) as station:
         station.play_presses(1)
