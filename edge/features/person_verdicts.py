@@ -8,6 +8,7 @@ from typing import Final, Self
 from pydantic import Field, model_validator
 
 from edge.clock import local_day
+from edge.core.errors import ArchiveError
 from edge.core.imaging.quality import Reason
 from edge.core.person_verdict import (
     Asked,
@@ -36,6 +37,7 @@ from edge.store.person_verdicts import (
     read_passed,
     read_verdicts,
 )
+from edge.store.press_archive import ArchiveFolder
 from edge.store.press_store import Store
 
 __all__ = ["PersonVerdicts"]
@@ -216,9 +218,17 @@ class PersonVerdicts(PressStage):
         return {
             "press_id": press_id,
             "verdict": table.verdict,
-            "is_archived": table.is_archived,
+            "is_archived": self._is_archived(press_id, table.evidence),
             "earlier": [f"{one.person}: {one.saying}" for one in earlier],
         }
+
+    def _is_archived(self, press_id: str, evidence: bytes | None) -> bool:
+        """Say whether its record is there still."""
+        try:
+            ArchiveFolder(self._store.path.with_suffix(".archive")).press(press_id, evidence)
+        except ArchiveError:
+            return False
+        return True
 
     commands = (
         Command(

@@ -69,11 +69,11 @@ def _name(who: str) -> str:
 
 
 class Found(NamedTuple):
-    """A press that was looked for: its table, the machine's verdict, and whether it can be replayed."""
+    """A press that was looked for: its table, the machine's verdict, and the SHA-256 of its record in the archive."""
 
     name: str
     verdict: str
-    is_archived: bool
+    evidence: bytes | None
 
 
 def find_table(connection: sqlite3.Connection, press_id: str) -> Found | None:
@@ -83,9 +83,9 @@ def find_table(connection: sqlite3.Connection, press_id: str) -> Found | None:
         ("reference_presses", "NULL"),
         ("study_presses", "NULL"),
     ):
-        query = f"SELECT verdict, {evidence} IS NOT NULL FROM {table} WHERE press_id = ?"
+        query = f"SELECT verdict, {evidence} FROM {table} WHERE press_id = ?"
         if (row := connection.execute(query, (press_id,)).fetchone()) is not None:
-            return Found(table, row[0], bool(row[1]))
+            return Found(table, *row)
     return None
 
 

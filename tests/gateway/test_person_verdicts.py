@@ -1,6 +1,7 @@
 """A person says what a press was: the ledger keeps it beside the verdict, and the station asks for doubtful ones."""
 
 import json
+import shutil
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -68,6 +69,15 @@ def say(station: SteppedStation, by: str = "kim") -> Callable[..., dict[str, obj
         return response
 
     return do
+
+
+def test_a_press_whose_archive_is_gone_is_not_archived(played: SteppedStation) -> None:
+    """The row alone still names its record."""
+    press_id = played.results[0].press_id
+    shutil.rmtree(played.parts.store.path.with_suffix(".archive"))
+    response: Any = say(played)(press_id=press_id, verdict="good")
+
+    assert response["data"]["is_archived"] is False
 
 
 @pytest.fixture(scope="module")
