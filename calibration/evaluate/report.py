@@ -31,7 +31,9 @@ def as_table(evaluation: Evaluation) -> str:
         f"{good} good and {bad} defective presses, {'unknown' if None in names else len(names)} specimens",
     ]
     if e.left_out:
-        lines.append(f"{e.left_out} presses left out, because the bundle was fitted on them")
+        lines.append(
+            f"{e.left_out} presses left out, because the bundle was fitted on presses of these names"
+        )
     if e.seen_specimens:
         lines.append(
             f"{e.seen_specimens} specimens have other presses in the fit: the good scores are optimistic"

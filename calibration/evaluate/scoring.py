@@ -15,6 +15,7 @@ from edge.core.errors import DatasetError, NotScorable
 from edge.core.registration.pose import Pose
 from edge.core.verdict import Kind
 from edge.model.bundle import Bundle
+from edge.model.manifest import Manifest
 from edge.model.scorer import Scorer
 
 __all__ = ["Evaluation", "evaluate_bundle"]
@@ -98,10 +99,9 @@ def evaluate_bundle(
     Errors: BundleError, DatasetError (the dataset lacks the part or position; nothing is left to score).
     """
     bundle = Bundle.load(bundle_path)
-    dataset = _choose_presses(
-        open_dataset(dataset_path, resolution_of(bundle.profile.size)), bundle, part, position
-    )
-    fitted = _find_fitted(dataset.presses, bundle.manifest.provenance.presses)
+    whole = open_dataset(dataset_path, resolution_of(bundle.profile.size))
+    dataset = _choose_presses(whole, bundle, part, position)
+    fitted = _find_fitted(whole.presses, bundle.manifest)
     presses = tuple(p for p in dataset.presses if p.path not in fitted)
     if not presses:
         raise DatasetError(
@@ -139,20 +139,27 @@ def _choose_presses(dataset: Dataset, bundle: Bundle, part: str | None, position
         ) from None
 
 
-def _find_fitted(presses: Sequence[LabelledPress], names: Sequence[str]) -> set[Path]:
+def _find_fitted(presses: Sequence[LabelledPress], manifest: Manifest) -> set[Path]:
     """Find the files named in the provenance: a name is the end of a path, such as `rgb_320x240/PZ3_pos1_s001_p01.png`.
 
-    MVTec folders have the same file names in train/good and test/good; if a name fits both, train was fitted.
+    presses: the whole dataset. MVTec folders have the same file names in train/good and test/good: of presses of one
+    name those of the bundle's part and position are meant, else those in train.
     """
     ending: dict[str, list[LabelledPress]] = {}
     for press in presses:
         parts = press.path.parts
         for k in range(1, len(parts)):
             ending.setdefault("/".join(parts[-k:]), []).append(press)
+
+    def likeness(press: LabelledPress) -> tuple[bool, bool, bool]:
+        at = press.position
+        return press.part == manifest.part, at == manifest.position, at == "train"
+
     found: set[Path] = set()
-    for name in names:
+    for name in manifest.provenance.presses:
         meant = ending.get(name.lstrip("/"), [])
-        found |= {p.path for p in [p for p in meant if p.position == "train"] or meant}
+        most = max(map(likeness, meant), default=None)
+        found |= {press.path for press in meant if likeness(press) == most}
     return found
 
 

@@ -92,14 +92,19 @@ def test_a_press_fails_where_the_gateway_would_fail_it(tmp_path: Path, dataset: 
     assert "6 good and 4 defective ones are unsure" in as_table(wide)
 
 
-def test_a_name_in_train_and_test_means_the_one_in_train(tmp_path: Path, dataset: Path) -> None:
+@pytest.mark.parametrize("position", ["*", "test"])
+def test_a_name_in_train_and_test_means_the_one_in_train(
+    tmp_path: Path, dataset: Path, position: str
+) -> None:
     """MVTec folders count from 000 in both; the file in train was fitted, and the one in test is scored."""
     rng = np.random.default_rng(1)
     for place in ("train", "test"):
         frame(dataset / place / "good" / "000.png", False, rng)
-    evaluation = run(bundle(tmp_path, ("good/000.png",)), dataset)
+    evaluation = run(bundle(tmp_path, ("good/000.png",)), dataset, position=position)
     scored = [s.press.path.parts[-3] for s in evaluation.scored if s.press.path.name == "000.png"]
-    assert (evaluation.left_out, scored) == (1, ["test"])
+    assert (evaluation.left_out, scored) == (int(position == "*"), ["test"])
+    of_test = run(bundle(tmp_path / "other", ("good/000.png",), position="test"), dataset, position="test")
+    assert of_test.left_out == 1
 
 
 def test_another_part_or_position_is_refused(tmp_path: Path, dataset: Path) -> None:
