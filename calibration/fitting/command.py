@@ -1,6 +1,8 @@
 """`gelgate fit`: nominal presses in, a bundle out."""
 
+import errno
 import os
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
@@ -262,13 +264,17 @@ def refuse_existing(output: Path, overwrite: bool) -> None:
         raise ConfigError(
             f"{output} is a folder that holds no bundle, and is not replaced; choose another name"
         )
+    if os.path.isfile(output) and output.suffix != ".zip":
+        raise ConfigError(f"{output} is a file, not a bundle, and is not replaced; choose another name")
     if os.path.exists(output) and not overwrite:
         raise ConfigError(f"{output} exists already; choose another name or add --overwrite")
     above = next(folder for folder in output.absolute().parents if os.path.exists(folder))
-    if not (above.is_dir() and os.access(above, os.W_OK | os.X_OK)):
+    try:
+        tempfile.TemporaryDirectory(dir=above).cleanup()
+    except OSError as error:
         raise ConfigError(
             f"{output} cannot be written: {above} is no folder to write in; choose another place"
-        )
+        ) from error
 
 
 def next_revision(output: Path) -> int:
@@ -292,8 +298,9 @@ def write(fitted: "Fitted", output: Path, overwrite: bool) -> None:
     try:
         write_bundle(output, fitted.files, overwrite=overwrite)
     except OSError as error:
+        room = "free some space or " if error.errno == errno.ENOSPC else ""
         raise StoreError(
-            f"{output} cannot be written: {error.strerror or error}; free some space or choose another folder"
+            f"{output} cannot be written: {error.strerror or error}; {room}choose another folder"
         ) from error
 
 

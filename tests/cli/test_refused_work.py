@@ -5,6 +5,7 @@ import os
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -14,8 +15,9 @@ from breakable_station import Bench
 from command_line import gelgate
 from small_recordings import write_recording
 
+from calibration.fitting.command import write
 from edge import cli, registry
-from edge.core.errors import ConfigError
+from edge.core.errors import ConfigError, StoreError
 from edge.messaging import local_broker
 from edge.store.press_store import Store
 
@@ -161,6 +163,13 @@ REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]]
         lambda _: fit("presses", "-o", "presses/recording.toml/made"),
         3, ("presses/recording.toml is no folder to write in; choose another place",),
     ),
+    "fit over a file": (
+        lambda _: fit("presses", "-o", "presses/recording.toml", "--overwrite"),
+        3, ("presses/recording.toml is a file, not a bundle, and is not replaced; choose another name",),
+    ),
+    "fit where no folder can be made": (
+        lambda _: fit("presses", "-o", "/proc/no/made"), 3, ("/proc is no folder to write in",),
+    ),
     "fit with a threshold that is none": (
         lambda _: fit("presses", "--threshold", "nan"), 3, ("a threshold is a finite number, found nan",),
     ),
@@ -210,6 +219,17 @@ def test_bad_input_is_a_sentence(
     sentence = ended.sentence()
     assert [word for word in words if word not in sentence] == [], sentence
     assert not (bench.folder / "made").exists()
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.ENOTDIR])
+def test_only_a_full_disk_asks_for_space(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("edge.model.bundle_writer.write_bundle", refuse)
+    with pytest.raises(StoreError) as refused:
+        write(Mock(), Path("made"), False)
+    assert ("free some space" in str(refused.value)) == (number == errno.ENOSPC)
 
 
 def test_a_demo_without_a_broker_says_so_before_work(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
