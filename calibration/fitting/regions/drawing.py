@@ -56,6 +56,8 @@ __all__ = [
 _OF_OLD_SCORES: Final = ("press_again", DAMAGE_FOUND, CARD)
 # Where the largest value of a map is not the press's score to this share, the score is something else.
 _SAME: Final = 1e-4
+# Where `ignore` leaves this share of the contact or less, a lighter press has too little left to be judged.
+_LEAST_SHARE: Final = 0.1
 
 
 def draw_regions(
@@ -112,7 +114,7 @@ def _draw(
         drawn = DrawnRegions(tuple(regions))
     except ValueError as error:
         raise FitError(str(error)) from error
-    drawn = replace(drawn, **_measure_contact(old, weights))
+    drawn = replace(drawn, **_measure_contact(old, weights, regions))
     bank, graphs = dict(old.bank), old.graphs
     if REGION_WEIGHTS not in bank:
         head, _ = append(graphs.head or b"", Bank(bank), {REGION_WEIGHTS: weights})
@@ -214,7 +216,7 @@ def _check_head(old: Bundle) -> None:
             )
 
 
-def _measure_contact(old: Bundle, weights: F32) -> dict[str, Any]:
+def _measure_contact(old: Bundle, weights: F32, regions: Sequence[DrawnRegion]) -> dict[str, Any]:
     """Measure what of the nominal contact is ignored, and the nominal contact, mm2; 0 where nothing is ignored. Errors:
     FitError for regions that leave nothing to judge, or where the contact is not known."""
     blind = find_blind(weights)
@@ -236,6 +238,12 @@ def _measure_contact(old: Bundle, weights: F32) -> dict[str, Any]:
         raise FitError(
             f"these regions leave {judged:.1f} mm2 of the {whole:.1f} mm2 that nominal presses touch, expected at "
             f"least {LEAST_JUDGED_MM2:g} mm2: nothing would be judged; make what is ignored smaller"
+        )
+    if judged <= _LEAST_SHARE * whole and not any(one.kind == "judge" for one in regions):
+        raise FitError(
+            f"these regions ignore {whole - judged:.1f} mm2 of the {whole:.1f} mm2 that nominal presses touch, "
+            f"expected less than {100 * (1 - _LEAST_SHARE):g} %: presses would be rejected, for too little of them is "
+            "judged; make what is ignored smaller, or draw what is judged as 'judge'"
         )
     return {"ignored_mm2": round(whole - judged, 2), "contact_mm2": round(whole, 2)}
 

@@ -180,6 +180,10 @@ TRIANGLE = "2,2 4,2 4,4"
             ["--add", OVER_ALL],
             "leave 0.0 mm2 of the .* mm2 that nominal presses touch, expected at least 1 mm2",
         ),
+        (
+            ["--add", "ignore most 0,0 14.2,0 14.2,11 0,11"],
+            r"ignore 67.\d mm2 of the 7\d.\d mm2 .*less than 90 %.*make what is ignored smaller",
+        ),
         (["--add", "judge corner 0,0 0.5,0 0.5,0.5"], "leave 0.0 mm2 .*nothing would be judged"),
         (
             ["--add", "ignore far 20,2 24,2 24,4"],
