@@ -76,6 +76,13 @@ def test_the_order_of_the_presses_is_a_stage() -> None:
     assert "rank correlation of 20 scores is 0.99" in result.sentence()
 
 
+def test_scores_that_differ_by_noise_have_no_order() -> None:
+    """The float32 of two graphs orders equal presses at random."""
+    scores, noise = np.array([1.0, 1.0, 2.0, 2.0]), np.array([0, 3e-8, 3e-8, 0])
+    assert compare([order_stage(scores, scores + noise)]).is_equal
+    assert not compare([order_stage(scores, scores + 3e6 * noise)]).is_equal
+
+
 def test_rank_correlation_is_spearmans() -> None:
     """As scipy computes it, ties included."""
     a, b = RNG.integers(0, 6, 40), RNG.normal(size=40)
