@@ -30,10 +30,10 @@ def as_table(evaluation: Evaluation) -> str:
         f"{manifest.part}/{manifest.position} by {manifest.method} ({manifest.mode or 'mode unknown'})",
         f"{good} good and {bad} defective presses, {'unknown' if None in names else len(names)} specimens",
     ]
+    fitted = "no press left out: by folder and name none was in the fit"
     if e.left_out:
-        lines.append(
-            f"{e.left_out} presses left out, because the bundle was fitted on presses of these names"
-        )
+        fitted = f"{e.left_out} presses left out, because the bundle was fitted on presses of these names"
+    lines.append(f"{fitted}; only names are compared, so a copy under another name counts as new")
     if e.seen_specimens:
         lines.append(
             f"{e.seen_specimens} specimens have other presses in the fit: the good scores are optimistic"

@@ -124,6 +124,9 @@ def test_fitted_presses_are_left_out(tmp_path: Path, dataset: Path) -> None:
     """A press named in the bundle's provenance is not scored; the other presses of its specimen are counted as seen."""
     evaluation = run(bundle(tmp_path, ("bolt_test_s001_p01.png",)), dataset)
     assert evaluation.left_out == 1
+    assert "1 presses left out, because the bundle was fitted on presses of these names; only names are" in (
+        as_table(evaluation)
+    )
     assert evaluation.seen_specimens == 1
     assert "bolt_test_s001_p01.png" not in [s.press.path.name for s in evaluation.scored]
     (tmp_path / "short").mkdir()
@@ -139,6 +142,7 @@ def test_reports(tmp_path: Path, evaluation: Evaluation) -> None:
     """The table names every measure; the JSON has one entry per press and no absolute path; the sheet has
     the pictures of a station, sound presses above and below damaged ones."""
     table = as_table(evaluation)
+    assert "no press left out: by folder and name none was in the fit; only names are" in table
     assert "aupro_fpr01" in table
     assert "0 of 6 good presses fail, 0 of 4 defective ones pass" in table
     document = json.loads(as_json(evaluation))
