@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from calibration.acquisition.coverage import EARLIEST, LEAST, PAYS, ROUND, Coverage, Standing
 from edge.core.binomial import trials_needed
+from edge.core.printable import write_most
 from edge.pictures.heatmap import paint_scores
 from edge.pictures.image_file import encode
 
@@ -42,12 +43,12 @@ def promise_line(standing: Standing) -> str:
 
 
 def _promised(standing: Standing) -> str:
-    by_press = f"{_percent(standing.rate(standing.presses))} false alarms"
+    by_press = f"{write_most(standing.rate(standing.presses))} false alarms"
     if not _is_by_piece(standing):
         return by_press
     if standing.by_piece is None:
         return f"{by_press} by press, nothing promised of other pieces"
-    return f"{by_press} by press, {_percent(standing.by_piece)} by piece"
+    return f"{by_press} by press, {write_most(standing.by_piece)} by piece"
 
 
 def _percent(rate: float) -> str:

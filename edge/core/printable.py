@@ -1,6 +1,8 @@
 """Text from elsewhere, for a terminal."""
 
-__all__ = ["printable", "score_texts", "write_count"]
+import math
+
+__all__ = ["printable", "score_texts", "write_count", "write_most"]
 
 
 def printable(text: object) -> str:
@@ -20,3 +22,9 @@ def score_texts(score: float, threshold: float, digits: int = 4, form: str = "f"
         if score == threshold or texts[0] != texts[1]:
             break
     return texts
+
+
+def write_most(rate: float) -> str:
+    """Write an upper limit of a rate in two digits, upwards: `18 %` for 0.1746."""
+    step = 10.0 ** (math.floor(math.log10(100 * rate)) - 1) if rate else 1.0
+    return f"{math.ceil(100 * rate / step - 1e-9) * step:.3g} %"

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from edge.core.errors import BundleMismatch
-from edge.core.printable import write_count
+from edge.core.printable import write_count, write_most
 from edge.model.manifest import Manifest, RatePromise, ThresholdEntry
 
 __all__ = [
@@ -144,7 +144,7 @@ def promise(limit: ThresholdEntry) -> str:
         return f"no rate is promised: the threshold {'was given' if is_given else f'is {limit.method}'}"
     if limit.alpha_floor == 1 and limit.by_press is not None:
         return _of_known_pieces(limit, limit.by_press)
-    rate = f"at most {_percent(limit.alpha)}"
+    rate = f"at most {write_most(limit.alpha)}"
     if limit.is_floored:
         floor = f"{_percent(limit.alpha_floor)} (1 in {round(1 / limit.alpha_floor)})"
         rate = f"at best {floor}, not {_percent(limit.alpha)},"
@@ -161,7 +161,7 @@ def _of_known_pieces(limit: ThresholdEntry, press: RatePromise) -> str:
     these = "this piece" if limit.pieces == 1 else "these pieces"
     return (
         f"{write_count(limit.n, 'press')} of {write_count(limit.pieces or 0, 'piece')}: at most "
-        f"{_percent(press.rate)} of presses of {these} fail, {100 * press.confidence:.0f} % sure; "
+        f"{write_most(press.rate)} of presses of {these} fail, {100 * press.confidence:.0f} % sure; "
         "of other pieces nothing is promised, their sound presses may all fail"
     )
 
@@ -170,8 +170,8 @@ def _of_this_bundle(limit: ThresholdEntry) -> str:
     """Bundles of older versions have a range, or nothing."""
     press, piece = limit.by_press, limit.by_piece
     if press is not None:
-        presses = f"{_percent(press.rate)} of {'presses' if piece is None else 'presses of these pieces'}"
-        most = presses if piece is None else f"{_percent(piece.rate)} of new pieces and {presses}"
+        presses = f"{write_most(press.rate)} of {'presses' if piece is None else 'presses of these pieces'}"
+        most = presses if piece is None else f"{write_most(piece.rate)} of new pieces and {presses}"
         return f"; with this bundle at most {most}, {100 * press.confidence:.0f} % sure"
     if limit.rate_range is not None:
         low, high = map(_percent, limit.rate_range)
