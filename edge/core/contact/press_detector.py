@@ -212,7 +212,8 @@ class PressDetector:
         last_ns, self._last_ns = self._last_ns, frame.timestamp_ns
         if last_ns is None or frame.timestamp_ns - last_ns <= GAP_S * 1e9:
             return []
-        self._interruption_s = (frame.timestamp_ns - last_ns) / 1e9
+        seen_ns = min(last_ns, self._shown_ns or last_ns)  # the frames between may have shown nothing
+        self._interruption_s = (frame.timestamp_ns - seen_ns) / 1e9
         self._shown_ns = frame.timestamp_ns
         if (
             self._came_ns is None or frame.timestamp_ns - self._came_ns > GAP_S * 1e9

@@ -53,3 +53,15 @@ def test_broken_frames_do_not_hide_that_the_sensor_is_blind() -> None:
         detector.feed(CameraFrame(picture, number * 143_000_000, number))
     assert "black" in str(detector.sight.lost)
     assert detector.sight.seen_ns == seen_ns
+
+
+def test_a_pause_after_blind_frames_is_as_long_as_nothing_was_seen() -> None:
+    """The sensor shows black while it is pressed, then sends nothing for a moment: that moment is not all of it."""
+    detector, looks = PressDetector(PROFILE), []
+    for number, depth in enumerate([*[0.0] * 60, *[1.0] * 15, *[None] * 60, *[1.0] * 15], 1):
+        if not 127 <= number <= 135:
+            picture = unseen(number, "black") if depth is None else jpeg(gel(RNG, depth))
+            looks.append(detector.feed(CameraFrame(picture, round(number * 1e9 / FPS), number)))
+
+    interruptions_s = [look.interruption_s for look in looks if look.interruption_s]
+    assert interruptions_s == pytest.approx([61 / FPS], abs=1.5 / FPS)
