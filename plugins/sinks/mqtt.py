@@ -130,6 +130,7 @@ class MqttSink:
         if connection is None:
             raise SinkUnavailable(self._why_down)
         if self._born.pop(message.topic, None) == message:
+            self._strikes.delivered(message)
             return
         offline, will = self._station.offline, self._station.will
         if offline is not None and message.topic == offline.topic:

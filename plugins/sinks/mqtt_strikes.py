@@ -57,10 +57,10 @@ class Strikes:
             ) from error
 
     def delivered(self, message: Message) -> None:
-        """This message was acknowledged."""
-        if self._closed[0] == message:
+        """This message was acknowledged: that on its topic, or one that has taken its place."""
+        if self._closed[0] is not None and self._closed[0].topic == message.topic:
             self._closed = (None, 0)
-        if self._silent[0] == message:
+        if self._silent[0] is not None and self._silent[0].topic == message.topic:
             self._silent = (None, 0)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
 from scripted_broker import ScriptedBroker
@@ -10,6 +11,7 @@ from edge.core.errors import SinkRejected, SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from plugins.sinks.mqtt import MqttSink
+from plugins.sinks.mqtt_strikes import STRIKES
 
 from .conftest import PATIENCE_S, ROOT
 
@@ -44,6 +46,20 @@ def test_silence_never_sets_a_message_aside(scripted: ScriptedBroker, stepped: S
     scripted.topics = {}
     sink._broker = replace(sink._broker, timeout_s=PATIENCE_S)
     assert outcomes(sink, 1) == []
+    assert list(sink.faults) == []
+
+
+@pytest.mark.parametrize("how", ["with the birth", "by a newer one"])
+def test_silence_on_what_came_otherwise_is_over(how: str, scripted: ScriptedBroker, stepped: Stepped) -> None:
+    """The message waits no more: the birth of the next connection has published it, or a newer one of its topic has
+    taken its place. Else the fault would stay for ever."""
+    sink = stepped(scripted, LAST if how == "with the birth" else STATE)
+    for _ in range(STRIKES):
+        sink._strikes.lost(LAST, Mock(was_given_up=True), SinkUnavailable("silent"))
+    assert "was silent 3 times on the one on last" in next(iter(sink.faults))
+
+    assert sink.step() is None
+    sink.send(LAST if how == "with the birth" else replace(LAST, payload=b"newer"))
     assert list(sink.faults) == []
 
 
