@@ -345,6 +345,11 @@ class Broker:
             self.responses.append((press_id, json.loads(message.payload)))
 
     @property
+    def is_connected(self) -> bool:
+        """It has the first connection: one that it has just ended may not be missed yet."""
+        return any(not (link.is_second or link.is_over) and link.will is not None for link in self.links)
+
+    @property
     def is_well(self) -> bool:
         """It has been up for a while: what hung is over."""
         return self.mood == "up" and self._clock.now_ns - self.well_since_ns > WELL_S * S

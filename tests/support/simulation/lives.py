@@ -185,7 +185,8 @@ class Station:
         """End in order, as at SIGTERM."""
         self._note_end()
         sinks = self.world.connections.sinks
-        connected = [one for one in self.world.brokers.values() if one.mood == "up" and sinks[one.name].level]
+        brokers = [one for one in self.world.brokers.values() if one.mood == "up" and one.is_connected]
+        connected = [one for one in brokers if sinks[one.name].level]
         unheard = {name for name in sinks if self.world.connections.turns[name].is_waiting}
         stop = threading.Event()
         stop.set()
