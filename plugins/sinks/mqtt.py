@@ -108,12 +108,8 @@ class MqttSink:
     @property
     def faults(self) -> Sequence[str]:
         """Faults to correct although messages pass, one sentence each."""
-        faults = [
-            *dict(self._faults).values(),
-            self._say_refused(),
-            *self._strikes.faults,
-            self._availability.fault,
-        ]
+        own = dict(self._faults).values()
+        faults = [*own, self._say_refused(), *self._strikes.faults, self._availability.fault]
         return [fault for fault in faults if fault is not None]
 
     def _say_refused(self) -> str | None:
