@@ -60,7 +60,7 @@ def learn(given: LearnArguments) -> None:
     from calibration.fitting.command import make, refuse_existing
     from calibration.fitting.fit import Fitted, fit_files
     from calibration.fitting.fit_again import configure_again, read_again
-    from calibration.fitting.learn import compare, write_pictures
+    from calibration.fitting.learn import write_pictures
     from calibration.fitting.presses.sources import check_present
     from calibration.fitting.regions.drawing import draw_again
     from calibration.progress import Report
@@ -94,12 +94,9 @@ def learn(given: LearnArguments) -> None:
     def fit_and_check(created: str, report: Report) -> Fitted:
         fitted = fit_files(presses, config, created=created, report=report)
         fitted = draw_again(old, fitted, presses, config, created)
-        comparison = compare(old, fitted.bundle(), confirmed, database, given.threads)
-        typer.echo(f"{comparison.describe()}; {comparison.changes()}")
+        comparison = _compare(old, fitted, confirmed, database, given.threads)
         if (taught := _teach_lost(fitted, comparison, presses, config, created)) is not None:
-            fitted = taught
-            comparison = compare(old, fitted.bundle(), confirmed, database, given.threads)
-            typer.echo(f"{comparison.describe()}; {comparison.changes()}")
+            fitted, comparison = taught, _compare(old, taught, confirmed, database, given.threads)
         _warn_of_fewer_found(old.manifest.facts, fitted.manifest.facts)
         try:
             comparison.check()
@@ -109,6 +106,17 @@ def learn(given: LearnArguments) -> None:
         return fitted
 
     make(fit_and_check, given.output, given.overwrite)
+
+
+def _compare(
+    old: "Bundle", fitted: "Fitted", confirmed: "ConfirmedPresses", database: Path, threads: int
+) -> "Comparison":
+    """Judge the presses that people spoke of by both bundles, and say what they make of them."""
+    from calibration.fitting.learn import compare
+
+    comparison = compare(old, fitted.bundle(), confirmed, database, threads)
+    typer.echo(f"{comparison.describe()}; {comparison.changes()}")
+    return comparison
 
 
 def _teach_lost(
