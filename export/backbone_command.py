@@ -67,7 +67,7 @@ def backbone(given: BackboneArguments) -> None:
     from edge.core.imaging.region import Region
     from export.backbone import BackboneOptions
 
-    refuse_existing(given.output, given.overwrite)
+    refuse_existing(given.output, given.overwrite, is_bundle=False)
     sensor = known_profile(given.profile)
     region = Region.parse(given.region, sensor.size)
     options = BackboneOptions(

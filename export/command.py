@@ -52,7 +52,7 @@ def precision(
         raise ConfigError(f"--precision is auto, {', '.join(get_args(Precision))}; found '{wanted}'")
     if not 0 < limit < 1:
         raise ConfigError(f"--limit is a part of the maps between 0 and 1, found {limit:g}")
-    refuse_existing(output, overwrite)
+    refuse_existing(output, overwrite, is_bundle=False)
     opened = Bundle.load(bundle, trunks)
     frames, masked = _frames(opened, sources)
     with Stages() as report:
@@ -172,7 +172,7 @@ def openvino(
 
     needs("openvino", "export openvino")
     for path in (output, output.with_suffix(".bin")):
-        refuse_existing(path, overwrite)
+        refuse_existing(path, overwrite, is_bundle=False)
     comparison = write_openvino(Bundle.load(bundle, trunks), output)
     worst = max(result.difference for result in comparison.results)
     typer.echo(
@@ -199,7 +199,7 @@ def tiles(
     from edge.core.imaging.tiles import tiling
     from plugins.backbones.tiled import tile_trunk
 
-    refuse_existing(output, overwrite)
+    refuse_existing(output, overwrite, is_bundle=False)
     try:
         width, height = (int(number) for number in frame.split("x"))
         layout = tiling((height, width), size, overlap)
@@ -232,7 +232,7 @@ def merge(
     from edge.model.bundle import Bundle
     from export.merge import merge_bundle
 
-    refuse_existing(output, overwrite)
+    refuse_existing(output, overwrite, is_bundle=as_bundle)
     difference = merge_bundle(Bundle.load(bundle, trunks), output, as_bundle=as_bundle)
     typer.echo(
         f"{output} written; it differs from the bundle by at most {difference:.1e} of the largest score"

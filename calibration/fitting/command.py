@@ -255,8 +255,9 @@ def make(work: "Callable[..., Fitted]", output: Path, overwrite: bool) -> None:
     summarise(fitted, output)
 
 
-def refuse_existing(output: Path, overwrite: bool) -> None:
-    """Check before any work that nothing is overwritten, and there is a folder to write in. Errors: ConfigError."""
+def refuse_existing(output: Path, overwrite: bool, *, is_bundle: bool = True) -> None:
+    """Check before any work that nothing is overwritten, and there is a folder to write in. is_bundle: what is written
+    is one, and no other file. Errors: ConfigError."""
     from edge.core.errors import ConfigError
     from edge.model.archive import MANIFEST
 
@@ -264,7 +265,7 @@ def refuse_existing(output: Path, overwrite: bool) -> None:
         raise ConfigError(
             f"{output} is a folder that holds no bundle, and is not replaced; choose another name"
         )
-    if os.path.isfile(output) and output.suffix != ".zip":
+    if is_bundle and os.path.isfile(output) and output.suffix != ".zip":
         raise ConfigError(f"{output} is a file, not a bundle, and is not replaced; choose another name")
     if os.path.exists(output) and not overwrite:
         raise ConfigError(f"{output} exists already; choose another name or add --overwrite")
