@@ -52,7 +52,7 @@ def precision(
         raise ConfigError(f"--precision is auto, {', '.join(get_args(Precision))}; found '{wanted}'")
     if not 0 < limit < 1:
         raise ConfigError(f"--limit is a part of the maps between 0 and 1, found {limit:g}")
-    refuse_existing(output, overwrite, is_bundle=False)
+    refuse_existing(output, overwrite)
     opened = Bundle.load(bundle, trunks)
     frames, masked = _frames(opened, sources)
     with Stages() as report:
