@@ -80,6 +80,8 @@ class Pieces(PressStage):
         check_places(parts.config.piece.plan, parts.selection.find_all)
         stage = cls(parts.config.piece, parts)
         stage._refresh()
+        if stage._order == "free" and parts.store.read("reading the selection", pieces.is_selected_since):
+            stage._wanted = None  # by the plan, or by somebody who has selected another place since
         return stage
 
     @classmethod

@@ -21,6 +21,7 @@ __all__ = [
     "count_ended",
     "end",
     "is_recorded",
+    "is_selected_since",
     "read_asked",
     "read_last",
     "read_verdict",
@@ -96,6 +97,15 @@ def read_verdict(connection: sqlite3.Connection, piece_id: str) -> tuple[str | N
     query = "SELECT verdict FROM pieces WHERE piece_id = ?"
     row: tuple[str | None] | None = connection.execute(query, (piece_id,)).fetchone()
     return row
+
+
+def is_selected_since(connection: sqlite3.Connection) -> bool:
+    """Tell whether what is selected was selected after the newest press."""
+    row = connection.execute(
+        "SELECT 1 FROM selected JOIN bundles_in_use USING (part, position) "
+        "WHERE time_ns > (SELECT time_ns FROM presses ORDER BY number DESC LIMIT 1)"
+    ).fetchone()
+    return row is not None
 
 
 def read_asked(connection: sqlite3.Connection) -> str | None:

@@ -330,6 +330,22 @@ def test_a_piece_goes_on_after_a_restart(configure: Make) -> None:
     assert (ended["piece_id"], ended["verdict"]) == ("P1", "pass")
 
 
+def test_what_a_person_selected_since_the_press_stays_selected_over_a_restart(configure: Make) -> None:
+    """The plan would select the place that is left, and its bundle would judge the part that lies elsewhere."""
+    config = configure(plan("free", ("left", "middle")), presses=1)
+    with PieceStation(config) as station:
+        station.play_presses(1)
+        station.turn()
+        by_plan = station.parts.selection.part
+        station.clock.sleep(1.0)
+        station.select("right")
+        station.turn()
+    with PieceStation(config) as station:
+        station.play_until(lambda: station.loop.session is not None)
+        station.turn()
+        assert (by_plan, station.parts.selection.part) == (MIDDLE, RIGHT)
+
+
 def test_a_write_that_fails_in_the_middle_of_an_end_ends_nothing(configure: Make) -> None:
     """Press, piece and message are one transaction: it is tried again, and then there is one of each."""
     with PieceStation(configure(plan())) as station:

@@ -201,4 +201,36 @@ FAILED = (
         ),
         says="the alarm contact is still raised # s after its reason went",
     ),
+    # After a restart the plan of a piece selected the place that is left over another one that a person had selected.
+    Failure(
+        seed=263332335,
+        presses=15,
+        chosen=Chosen(
+            brokers=1,
+            has_archive=True,
+            rates={},
+            sloth_s=0.03,
+            fps=18.75,
+            level="5",
+            trigger="automatic",
+            outbox_mb=512,
+            has_file=False,
+            has_shadow=False,
+            has_robot=False,
+            plc="",
+            piece="free",
+            meetings=(
+                ("plc", "unplug"),
+                ("fill disk", "kill", "hang up"),
+                ("hang up", "stop"),
+                ("select part", "stop"),
+            ),
+            forgets=False,
+        ),
+        schedule=(
+            Fault(at_s=38.862242, name="stop", seed=2471391777),
+            Fault(at_s=40.350323, name="stop", seed=3885051047),
+        ),
+        says="press # lay elsewhere, and its fail is of PZ#/pos#",
+    ),
 )
