@@ -125,12 +125,12 @@ class Broker:
         """Answers to requests, with their verbs."""
 
     def go(self, mood: str) -> None:
-        """Take this mood."""
-        self.mood = mood
+        """Take this mood. A station keeps to the limit of its connection, so that ends with a narrow mood."""
+        was_narrow, self.mood = self.mood == "is narrow", mood
         self.said[mood] += 1
         # A station at level 5 knows the limit, and sends no result at all.
         self.has_refused_results |= mood == "is narrow"
-        if mood in CUTS:
+        if mood in CUTS or was_narrow:
             self._cut()
         if mood in TAKES_NOTHING:
             self.away_since_ns = self._clock.now_ns
