@@ -69,9 +69,7 @@ class ReferenceGuard(PressStage):
         self._clock = clock
         self._mounted: Mounted | None = None
         self._armed: _Armed | None = None
-        self._void: Sentence | None = (
-            None  # why the press that has begun is neither that of a master piece nor a part's
-        )
+        self._void: Sentence | None = None  # why the press that has begun is rejected
         self._presses: dict[str, list[ReferencePress]] = {}
         self._faults: tuple[str, ...] = ()
         self._next_look_ns = 0

@@ -23,7 +23,7 @@ from edge.messaging.command_payloads import (
     CommandRequest,
     CommandResponse,
     CommandTransaction,
-    fault_sentence,
+    describe_fault,
     is_signed,
     signed_text,
 )
@@ -294,7 +294,7 @@ def _request(payload: bytes) -> CommandRequest:
         return CommandRequest.model_validate_json(payload)
     except ValidationError as error:
         fault = dict(error.errors()[0])
-        raise ValueError(f"{fault_sentence(fault, 'the request')}; see docs/mqtt.md") from error
+        raise ValueError(f"{describe_fault(fault, 'the request')}; see docs/mqtt.md") from error
 
 
 def policy_of(config: Config) -> CommandPolicy:

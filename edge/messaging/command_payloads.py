@@ -40,7 +40,7 @@ __all__ = [
     "PlainText",
     "ReplaceGelArguments",
     "SelectPartArguments",
-    "fault_sentence",
+    "describe_fault",
     "is_signed",
     "signature_of",
     "signed_text",
@@ -103,15 +103,15 @@ class CommandArguments(BaseModel):
             return cls.model_validate(dict(arguments))
         except ValidationError as error:
             known = ", ".join(cls.model_fields) or "none"
-            faults = "; ".join(fault_sentence(dict(fault), "arguments") for fault in error.errors())
+            faults = "; ".join(describe_fault(dict(fault), "arguments") for fault in error.errors())
             raise ValueError(f"{faults} (known arguments: {known})") from error
 
 
-def fault_sentence(fault: Mapping[str, Any], whole: str) -> str:
+def describe_fault(fault: Mapping[str, Any], whole: str) -> str:
     """Say what pydantic found wrong. whole: the name of what has no place of its own."""
     place = ".".join(map(str, fault["loc"])) or whole
     if fault["type"] == "string_pattern_mismatch":
-        return f"{place}: it has another form than docs/mqtt.md says"
+        return f"{place}: it has another form than expected"
     return f"{place}: {fault['msg'].removeprefix('Value error, ')}"
 
 

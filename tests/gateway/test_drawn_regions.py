@@ -168,7 +168,7 @@ STRICTER = "gelgate bundle regions .*pz0 NOMINAL -o NEW --add 'stricter seam 1.5
         ({}, "expected either add or remove"),
         ({"add": "logo", "remove": "logo"}, "expected either add or remove"),
         ({"add": "logo", "points_mm": DENT}, "drawn on the picture of a press; name its press_id"),
-        (LOGO | {"add": "my logo"}, "add: it has another form than docs/mqtt.md says"),
+        (LOGO | {"add": "my logo"}, "add: it has another form than expected"),
         (LOGO | {"points_mm": DENT[:2]}, "region 'logo' has 2 points"),
         (LOGO | {"points_mm": [[1.0]] * 4}, r"points_mm are \[x, y\], in mm"),
         (LOGO | {"points_mm": [DENT[0], DENT[2], DENT[1], DENT[3]]}, "region 'logo' crosses itself"),

@@ -165,7 +165,7 @@ def test_after_a_restart_the_page_shows_its_presses_and_what_it_asks_about(
             {"press_id": new_ulid(1, lambda k: bytes(k)), "verdict": "good"},
             "is not in the history of this station",
         ),
-        ({"press_id": "last", "verdict": "good"}, "press_id: it has another form than docs/mqtt.md says"),
+        ({"press_id": "last", "verdict": "good"}, "press_id: it has another form than expected"),
         ({"verdict": "good"}, "press_id: Field required"),
         (
             {"press_id": "", "verdict": "bad"},
