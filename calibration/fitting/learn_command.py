@@ -52,8 +52,9 @@ def learn(given: LearnArguments) -> None:
     """Learn from what people said at the station.
 
     Presses that people call good are learnt beside the nominal ones, with the detector and the backbone of the bundle.
-    Drawn regions stay. Damage that was found before and that the new bundle passes is taught, as by `teach`. It is not
-    written where that costs too much, or where it fails more good presses. Try it as a shadow (docs/operations.md).
+    Drawn regions stay. Damage that was found before and that the new bundle passes is taught, as by `teach`. The bundle
+    is not written where that costs too much, or where it fails more good presses. Try it as a shadow
+    (docs/operations.md).
     """
     import tempfile
 
