@@ -180,8 +180,10 @@ def _entered(track: Track, before: Track, seen: Observation, settings: ContactSe
             )
         case _, State.RECOVERY:
             return _over(track, before, seen)
-        case State.APPROACH, State.NO_CONTACT | State.DOUBT:
+        case State.APPROACH, State.NO_CONTACT:
             return replace(track, is_wanted=False)
+        case _, State.DOUBT:  # it is no press any more, and what comes is another one
+            return replace(track, is_wanted=False, is_counted=True)
     return track
 
 

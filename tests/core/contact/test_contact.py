@@ -32,7 +32,7 @@ from edge.core.contact.events import (
 from edge.core.contact.rules import gap, relearn, step, trigger
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import Observation
-from edge.core.contact.signals import Track
+from edge.core.contact.signals import Track, phase_of
 from edge.core.contact.table import TABLE, Signal, State, table_markdown
 
 EXTERNAL = ContactSettings(is_external=True)
@@ -208,6 +208,22 @@ def test_doubt_ends_where_the_reference_is_seen_again() -> None:
     track, events = run(unconfirmed(), [*moving, *at(320, [FREE] * 5)])
     assert (story(events), track.state) == ("ReferenceDoubted ReferenceReady", State.NO_CONTACT)
     assert story(run(track, (inverse(520 + 40 * k) for k in range(8)))[1]).startswith("ReferenceDoubted")
+
+
+@pytest.mark.parametrize("change", [0.0, 0.5], ids=["corrected", "seen again"])
+def test_after_a_doubt_the_gel_is_seen_and_nothing_is_wanted(change: float) -> None:
+    """Also where the doubt was of what touched at the start: until the next press nobody would say that the gel is
+    free. And a verdict that was wanted of what was doubted is none of the next press."""
+    touched, _ = run(Track(), (seen(i * 40, PRESSED) for i in range(1, 60)))
+    lifted = [replace(inverse(2400 + 40 * k), change=change) for k in range(8)]
+    track, events = run(touched, [*lifted, *at(2720, [FREE] * 10)])
+    assert "ReferenceReady" in story(events)
+    assert phase_of(track, seen(3080, FREE), RULES) == "free"
+    wanted = replace(unconfirmed(), state=State.CONTACT, is_wanted=True)
+    track, events = run(wanted, [*lifted, *at(2720, [FREE] * 10)], EXTERNAL)
+    assert "ReferenceReady" in story(events)
+    _, events = run(track, at(3120, [PRESSED] * 20 + [FREE] * 10), EXTERNAL)
+    assert story(events) == "PressBegan PressNotSettled:NOT_TRIGGERED PressEnded"
 
 
 def test_a_first_press_that_never_ends_is_doubted() -> None:
