@@ -400,6 +400,26 @@ def test_a_piece_begins_when_the_part_before_is_lifted(
     assert first.piece_id == "P1"
 
 
+def test_after_an_interruption_the_next_press_is_of_the_piece_that_is_asked_for(
+    tmp_path: Path, configure: Make, bundle: Path
+) -> None:
+    """The gel was free, and for a moment nothing can be trusted: a trigger of then that waited for the free gel would
+    leave its press to the part that was selected before."""
+    bundles = two_parts(tmp_path / "bundles", bundle)
+    tables = PIECE.replace("fixed", "free")
+    with PlcStation(configure(tables=tables, inspection=f'{bundles}\npart = "PZ0"')) as station:
+        station.play_until_ready()
+        station.play(1)
+        station.read(8)
+        while station.parts.acquisition.next(0) is not None:
+            pass
+        station.play(1)
+        assert (station.seen.station.contact, station.loop.is_pressed) == ("unknown", False)
+        assert station.trigger(1, piece="P1", part="PZ1") is Code.NONE
+        station.play_until(lambda: station.seen.step == "done")
+    assert [(result.part, result.trigger_id) for result in station.results] == [("PZ1", 1)]
+
+
 @pytest.mark.parametrize("is_pressed", [False, True], ids=["at once", "while it waits for the free gel"])
 def test_a_trigger_that_is_taken_back_begins_no_piece(
     tmp_path: Path, configure: Make, bundle: Path, is_pressed: bool

@@ -144,6 +144,8 @@ class HandshakeStage(PressStage):
                 pass
 
     def look(self, look: Look) -> None:
+        if look.phase == "unseen":  # what touched before may touch still, and nothing else is known to
+            return
         self._is_touched = look.phase != "free"
         with self.port.machine() as (machine, _):
             machine.look(self._is_touched)
