@@ -135,6 +135,21 @@ def test_a_late_pulse_is_an_alarm_until_a_person_acknowledges_it(tmp_path: Path,
         assert (3, True) not in switched(tmp_path)
 
 
+@pytest.mark.parametrize("late_s", [0.0, 1.0])
+def test_what_is_not_judged_has_no_more_time(tmp_path: Path, configure: Make, late_s: float) -> None:
+    """The process gets no time while a press ends that nobody asked for: its part may be gone."""
+    text = ANDON.replace('["fail"], pulse', '["rejected"], pulse').replace("60000", "500")
+    with IoStation(configure(text, trigger="command", pace=1.0)) as station:
+        station.play_until(lambda: station.loop.is_pressed)
+        station.read(14)
+        station.clock.sleep(late_s)
+        station.look()
+        assert station.verdicts == ["rejected"]
+        station.switch()
+        assert (station.alarm("pulse") is not None) == bool(late_s)
+    assert ((3, True) in switched(tmp_path)) == (not late_s)
+
+
 LIFT_NOW = """
 [[actuators]]
 plugin = "virtual_hid"

@@ -17,6 +17,7 @@ from edge.core.contact.events import Event, PressBegan, PressSettled
 from edge.core.contact.press_detector import Look
 from edge.core.digital_io import DiscoveredPort, StationView
 from edge.core.errors import DeviceNotFound, StoreError
+from edge.core.imaging.frames import CameraFrame
 from edge.core.person_verdict import Saying
 from edge.core.ports import Clock
 from edge.core.press import Press
@@ -52,6 +53,7 @@ class Outputs(PressStage):
         self._verdict: str | None = None
         self._piece_id: str | None = None
         self._awaited_ns: int | None = None
+        self._came_ns: int | None = None  # the newest frame, with a time of its own
         self._seen_ns: int | None = None
         self._judged_id: str | None = None
         self._recorded_id: str | None = None
@@ -151,6 +153,9 @@ class Outputs(PressStage):
         for driver in self.drivers:
             driver.show(replace(view, verdict=self._verdict))
 
+    def take(self, frame: CameraFrame) -> None:
+        self._came_ns = None if frame.is_on_demand else frame.timestamp_ns
+
     def see(self, event: Event) -> None:
         """When a press begins, no verdict of an earlier one is shown any more."""
         if isinstance(event, PressBegan):
@@ -203,11 +208,12 @@ class Outputs(PressStage):
             log.error("what a pedal says of press %s is not kept: %s", self._recorded_id, error)
 
     def _pulse(self, press: Press) -> None:
-        """Deadlines count from the judged frame, or from now where there is none."""
-        judged_ns = self._clock.monotonic_ns() if press.judged_ns is None else press.judged_ns
+        """Deadlines count from the judged frame, where there is none from the one that has decided the press, and from
+        now where that has a recorded time."""
+        decided_ns = press.judged_ns or self._came_ns or self._clock.monotonic_ns()
         if press.shown is not None:
             for driver in self.drivers:
-                driver.pulse(press.shown, judged_ns)
+                driver.pulse(press.shown, decided_ns)
 
 
 def describe_actuator(table: ActuatorTable) -> str:

@@ -76,8 +76,7 @@ def audit_outputs(world: World, station: Station) -> Iterator[str]:
         is_unrecorded = any(one.told_ns <= ended <= noted for ended in station.ended_ns)
         if own:
             presses.remove(own[-1])
-            frame_ns = own[-1].frame_ns
-            if frame_ns is not None and one.told_ns - frame_ns > DEADLINE_S * S and not is_unrecorded:
+            if one.told_ns - own[-1].came_ns > DEADLINE_S * S and not is_unrecorded:
                 yield f"the pulse on channel {one.channel} {when} was given after its deadline"
         elif not is_unrecorded:
             yield f"the pulse on channel {one.channel} {when} belongs to no press"

@@ -60,6 +60,8 @@ class Seen:
     """Frames are missing between the judged frame and the verdict."""
     after_gap_s: float
     """From the last interruption to the verdict."""
+    came_ns: int
+    """Of the judged frame, or of the one that has decided the press without one."""
     shown: str
     """What outputs may show of it: its word, but of a piece a pass only when all of it has passed; or nothing."""
 
@@ -72,6 +74,7 @@ class Station:
         self.lives = 0
         self.seen: list[Seen] = []
         self.judged_ns: dict[str, int] = {}
+        self.came_ns: dict[str, int] = {}
         self.began_ns = 0
         self.ended_ns: list[int] = []
         self.killed_ns: list[int] = []
@@ -336,7 +339,8 @@ class Station:
         self.seen.append(
             Seen(
                 *(press.press_id, now_ns, press.judged_ns, press.word),
-                *(judged_ns, is_over, after_s, self._show(report)),
+                *(judged_ns, is_over, after_s),
+                *(self.came_ns[press.press_id], self._show(report)),
             )
         )
 
@@ -362,7 +366,9 @@ class Witness(PressStage):
         self._station = station
 
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
-        self._station.judged_ns[press.press_id] = self._station.world.clock.now_ns
+        station = self._station
+        station.judged_ns[press.press_id] = station.world.clock.now_ns
+        station.came_ns[press.press_id] = press.judged_ns or station.fed_ns[-1]
         return press
 
     def close(self) -> None:
