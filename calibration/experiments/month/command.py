@@ -42,6 +42,7 @@ def month(
     """
     needs("studies", "gelgate lab month")
     require_known("set", [which], SETS)
+    months = [Month(which, part, presses) for part in range(first, first + parts)]
     rows, done = Rows(output / ROWS, lambda sentence: typer.echo(f"warning: {sentence}", err=True)), 0
     with rows.hold(), progress("days", parts * len(ARMS) * DAYS) as show:
 
@@ -50,8 +51,8 @@ def month(
             done += 1
             show(done)
 
-        for part in range(first, first + parts):
-            run_month(Month(which, part, presses), output, rows, advance)
+        for plan in months:
+            run_month(plan, output, rows, advance)
     wanted = [
         row
         for row in rows.read()

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.simulator import reproducible_math
-from calibration.simulator.defects import DEFECTS, Defect
+from calibration.simulator.defects import DEFECTS, Defect, place_defect
 from calibration.simulator.field_of_view import LR, grids
 from calibration.simulator.parts import specimen
 from calibration.simulator.plan import place_damage
@@ -25,6 +25,7 @@ from calibration.simulator.scars import Scar, grain, random_scar
 from calibration.simulator.shapes import f32
 from calibration.simulator.streams import Streams
 from edge.core.arrays import F32
+from edge.core.errors import ConfigError
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
 __all__ = ["DAYS", "DEPTH_MM", "FULL", "NOMINAL", "SETS", "Month", "PlannedPress"]
@@ -111,7 +112,10 @@ class PlannedPress:
 
 
 class Month:
-    """The plan of one part. presses: of the month, spread evenly over its days."""
+    """The plan of one part. presses: of the month, spread evenly over its days.
+
+    Errors: ConfigError for a random part that lies too low to be touched where it is inspected.
+    """
 
     def __init__(self, which: str, part: int, presses: int, days: int = DAYS) -> None:
         self.which, self.part, self.presses, self.days = which, part, presses, days
@@ -119,6 +123,10 @@ class Month:
         self.streams = Streams(self.seed)
         self.shape: HeightField = random_part(np.random.default_rng([self.seed, 1]))
         self._other: HeightField = random_part(np.random.default_rng([self.seed, 2]))
+        try:
+            place_defect("dent", 1.0, self.shape, DEPTH_MM, np.random.default_rng(0))
+        except ValueError as error:
+            raise ConfigError(f"part {part} of {which} cannot be taken: {error}; take another one") from error
 
     @property
     def questions(self) -> int:

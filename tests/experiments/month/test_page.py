@@ -112,3 +112,11 @@ def test_rows_of_parts_that_ran_apart_give_one_page(tmp_path: Path) -> None:
     assert ran.out.startswith(f"{4 * DAYS} days in")
     text = (tmp_path / "all" / "month.md").read_text()
     assert "--set development --first 2 --parts 2 --presses 300`: development parts 2, 3: 300 presses" in text
+
+
+def test_a_part_that_is_not_touched_is_refused_before_the_first_day(tmp_path: Path) -> None:
+    """Of all parts of the command: an hour of the part before it is not spent first."""
+    ran = gelgate("lab", "month", "-o", tmp_path / "out", "--set", "judgement", "--first", 7, "--parts", 2)
+
+    assert "part 8 of judgement cannot be taken: a press of 0.4 mm touches nothing" in ran.sentence()
+    assert (ran.code, (tmp_path / "out").exists()) == (3, False)
