@@ -163,7 +163,8 @@ def _write_picture(press: str, folder: Path, database: Path | None) -> Path:
     """Give a picture's path, that of an archived press after it is written there. Errors: ArchiveError,
     StoreError."""
     from calibration.fitting.learn import write_picture
-    from edge.store.press_archive import ArchiveFolder, find_press
+    from edge.store.history import find_press
+    from edge.store.press_archive import ArchiveFolder
 
     if database is None or Path(press).is_file():
         return Path(press)

@@ -185,7 +185,8 @@ def _read_archived(prefix: str, database: Path, archive: Path | None) -> _Shown:
     """Read a press of the archive. Errors: ArchiveError, HeightError."""
     from edge.core.errors import HeightError
     from edge.core.heights.height_map import free_picture
-    from edge.store.press_archive import ArchiveFolder, find_press
+    from edge.store.history import find_press
+    from edge.store.press_archive import ArchiveFolder
 
     known = find_press(database, prefix)
     folder = ArchiveFolder(archive or database.with_suffix(".archive"))

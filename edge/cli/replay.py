@@ -22,15 +22,9 @@ from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
 from edge.store.database import open_read_only
+from edge.store.history import KnownPress, find_press, presses_since
 from edge.store.person_verdicts import read_spoken_of
-from edge.store.press_archive import (
-    ArchivedPress,
-    ArchiveFolder,
-    KnownPress,
-    find_press,
-    list_presses,
-    presses_since,
-)
+from edge.store.press_archive import ArchivedPress, ArchiveFolder, list_presses
 
 __all__ = ["DIFFERS", "replay"]
 

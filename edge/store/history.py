@@ -11,12 +11,24 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
-from edge.core.errors import StoreError
+from edge.core.errors import ArchiveError, StoreError
 from edge.core.person_verdict import settle
 from edge.store.database import open_read_only
+from edge.store.ledger_chain import head
 from edge.store.person_verdicts import read_verdicts
 
-__all__ = ["COLUMNS", "FORMATS", "MEASURED", "HistoryQuery", "HistoryRow", "read_history", "write_history"]
+__all__ = [
+    "COLUMNS",
+    "FORMATS",
+    "MEASURED",
+    "HistoryQuery",
+    "HistoryRow",
+    "KnownPress",
+    "find_press",
+    "presses_since",
+    "read_history",
+    "write_history",
+]
 
 
 @dataclass(frozen=True)
@@ -180,3 +192,55 @@ FORMATS: Final[Mapping[str, Callable[[Path, Iterator[HistoryRow]], None]]] = {
     ".parquet": _write_parquet,
 }
 """Ending of a file's name to what writes it."""
+
+
+# A prefix that fits more presses is answered with this number of them.
+_SHOWN = 4
+
+
+@dataclass(frozen=True)
+class KnownPress:
+    """number: its `sequence`. evidence: SHA-256 of its record in the archive, None where it has none."""
+
+    number: int
+    press_id: str
+    time_ns: int
+    evidence: bytes | None
+
+
+def find_press(database: Path, prefix: str) -> KnownPress:
+    """The press with this number or id, or the only one whose id begins so. Errors: ArchiveError, StoreError."""
+    wanted = prefix.strip().upper()
+    if not wanted.isalnum() or not wanted.isascii():
+        raise ArchiveError(f"'{prefix:.60}' is no press; give its number, its id, or the id's beginning")
+    condition = "CAST(number AS TEXT) = ? OR press_id >= ? AND press_id < ?"  # an id begins with 0
+    presses = list(_presses(database, condition, (wanted, wanted, wanted + "~"), _SHOWN + 1))
+    if len(presses) > 1:
+        ids = ", ".join(press.press_id for press in presses[:_SHOWN])
+        more = " and more" if len(presses) > _SHOWN else ""
+        raise ArchiveError(f"'{prefix}' is the beginning of {ids}{more}; give more of the id")
+    if not presses:
+        raise ArchiveError(f"no press {prefix:.60} is in {_describe(database)}; is it another station's?")
+    return presses[0]
+
+
+def presses_since(database: Path, since_ns: int | None = None) -> Iterator[KnownPress]:
+    """Every press from this moment on, oldest first. Errors: ArchiveError, StoreError."""
+    return _presses(database, "time_ns >= ?", (min(since_ns or 0, 2**63 - 1),), -1)
+
+
+def _presses(database: Path, condition: str, values: tuple[object, ...], limit: int) -> Iterator[KnownPress]:
+    with open_read_only(database, "reading what is archived") as connection:
+        query = f"SELECT number, press_id, time_ns, evidence FROM presses WHERE {condition} ORDER BY number LIMIT ?"
+        for row in connection.execute(query, (*values, limit)):
+            yield KnownPress(*row)
+
+
+def _describe(database: Path) -> str:
+    """Describe the database: which ledger, and which presses it has."""
+    with open_read_only(database, "reading what is archived") as connection:
+        ledger_id = head(connection).ledger_id
+        query = "SELECT count(*), min(press_id), max(press_id) FROM presses"
+        presses, first, last = connection.execute(query).fetchone()
+    which = f", {first} to {last}" if presses else ""
+    return f"database {database} (ledger {ledger_id}, {presses} presses{which})"

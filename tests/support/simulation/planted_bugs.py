@@ -177,8 +177,8 @@ BUGS = (
     Bug(
         "the archive keeps the files of removed presses",
         "edge/store/press_archive.py",
-        "if uses == 0]",
-        "if uses < 0]",
+        "if uses[digest] == 0]",
+        "if uses[digest] < 0]",
         "files that no press needs",
     ),
     Bug(
