@@ -46,8 +46,8 @@ __all__ = [
 ]
 
 AGREED: Final = 0.95
-"""The share of the threshold that both presses of a damaged piece show at its place. Of 0.9, 0.95 and 1, by development
-parts (`python tests/bench/second_presses.py`)."""
+"""The share of the threshold that both presses of a damaged piece show at its place. Of 0.9, 0.95 and 1, in
+simulated months of development parts."""
 
 # The highest share of the nominal scores gives the tail's scale, from at least this number of them.
 _TAIL_SHARE: Final = 0.25

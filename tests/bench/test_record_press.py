@@ -1,11 +1,7 @@
-"""What a recorded press costs: one transaction, flushed to disk, and the bytes of its messages."""
+"""What the messages of a press cost in bytes, in the outbox and at a broker."""
 
-import sqlite3
-import statistics
 import time
 from collections import Counter
-from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -16,40 +12,7 @@ from calibration import demo
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker
 from edge.messaging.subscriber import listening, next_message
-from edge.store import ledger_chain
 from edge.store.outbox import ROW_OVERHEAD_BYTES, Outbox
-from edge.store.press_store import PressRecord, Store
-from edge.store.ulid import new_ulid
-
-PRESSES = 300
-
-
-def median_ms(do: Callable[[int], None]) -> float:
-    times = []
-    for n in range(PRESSES):
-        start = time.perf_counter()
-        do(n)
-        times.append((time.perf_counter() - start) * 1e3)
-    return statistics.median(times)
-
-
-@pytest.mark.bench
-def test_the_share_of_the_chain(tmp_path: Path) -> None:
-    """Prints what the link of one press costs, and its ratio to `record_press`, with its flush to the disk."""
-
-    def record(n: int) -> None:
-        time_ns = time.time_ns()
-        press = PressRecord(new_ulid(time_ns), time_ns, "2BNN4ZE7", "bolt", "pass", None, 0.5, 1.0)
-        store.record_press(press, lambda recorded: [])
-
-    with Store(tmp_path / "gelgate.db") as store:
-        press_ms = median_ms(record)
-    with closing(sqlite3.connect(tmp_path / "gelgate.db", isolation_level=None)) as connection:
-        connection.execute("BEGIN IMMEDIATE")
-        link_ms = median_ms(lambda n: ledger_chain.append(connection, "press", n + 1) and None)
-        connection.execute("ROLLBACK")
-
-    print(f"\nlink {link_ms:.3f} ms, record_press {press_ms:.2f} ms, share {link_ms / press_ms:.1%}")
 
 
 @pytest.fixture(scope="module")

@@ -12,11 +12,10 @@ READY, STATUS = b"\x02\0\0\0\1", b"\x04\0\0\0\3"
 
 
 class Tcp:
-    """A client whose connection may be cut in the middle of a request."""
+    """One connection."""
 
     def __init__(self, port: int) -> None:
-        self.address = ("127.0.0.1", port)
-        self.socket = socket.create_connection(self.address, 5)
+        self.socket = socket.create_connection(("127.0.0.1", port), 5)
 
     def ask(self, request: bytes) -> bytes:
         self.socket.sendall(struct.pack(">HHHB", 1, 0, len(request) + 1, 1) + request)
@@ -30,13 +29,6 @@ class Tcp:
             assert more
             received += more
         return received
-
-    def reconnect(self) -> None:
-        """Half of a request is sent, and the cable pulled."""
-        self.socket.sendall(b"\0\1\0\0\0\6\1\5\0")
-        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        self.socket.close()
-        self.socket = socket.create_connection(self.address, 5)
 
 
 def shake_hands(port: int, passes: int, results: Connection) -> None:
