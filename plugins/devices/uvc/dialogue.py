@@ -1,4 +1,4 @@
-"""A dialogue on USB: what the driver asked a sensor and what it answered, kept as lines of JSON and played again.
+"""A dialogue on USB: what the driver asked a sensor and what it answered, kept as lines of JSON.
 
 The first line says where it was recorded and what the driver made of it; each line after it is one call of pyusb's
 backend interface. Of a frame the header is kept, and both ends of each packet: no picture can be seen in it.
@@ -6,26 +6,22 @@ backend interface. Of a frame the header is kept, and both ends of each packet: 
 Ref: pyusb 1.3.1, usb/backend/__init__.py.
 """
 
-import errno
 import json
 import platform
-from collections import defaultdict, deque
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
-from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Final
 
 import usb.core
 
-from edge.core.errors import GelgateError, RecordingError
+from edge.core.errors import GelgateError
 from edge.core.imaging.known_profiles import MINI_CONTROLS
 from edge.core.ports import Clock
 from plugins.devices.uvc.identity import PRODUCT_ID, VENDOR_ID, SensorOnBus, choose, discover
 from plugins.devices.uvc.payload import Packet
 from plugins.devices.uvc.stream import PacketStream, UvcSensor
 
-__all__ = ["DialoguePlayer", "DialogueRecorder", "listen", "record_dialogue"]
+__all__ = ["DialogueRecorder", "listen", "record_dialogue"]
 
 VERSION: Final = 1
 FRAMES: Final = 5
@@ -135,89 +131,6 @@ class DialogueRecorder:
         return value
 
 
-class DialoguePlayer:
-    """A pyusb backend that answers from a file. The driver may ask in another order; what it asks must be there."""
-
-    def __init__(self, path: Path, clock: Clock) -> None:
-        self._path, self._clock = path, clock
-        self._answers: dict[str, deque[Any]] = defaultdict(deque)
-        try:
-            first, *lines = path.read_text(encoding="utf-8").splitlines()
-            self.header: dict[str, Any] = json.loads(first)
-            if self.header["dialogue"] != VERSION:
-                raise ValueError(f"it has version {self.header['dialogue']}")
-            for line in lines:
-                *words, answer = json.loads(line)
-                self._answers[json.dumps(words)].append(answer)
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise RecordingError(
-                f"{path} is no dialogue of version {VERSION} ({error}); record one with `gelgate devices "
-                "--device gelsight_mini --dialogue FILE`"
-            ) from error
-
-    def enumerate_devices(self) -> Iterator[int]:
-        number = 0
-        while json.dumps(["get_device_descriptor", number]) in self._answers:
-            yield number
-            number += 1
-
-    def open_device(self, device: int) -> int:
-        self._answer("open_device", device)
-        return device
-
-    def close_device(self, handle: int) -> None:
-        """Nothing is held."""
-
-    def get_parent(self, device: int) -> None:
-        return None
-
-    def ctrl_transfer(
-        self, handle: int, kind: int, request: int, value: int, index: int, data: Any, timeout: int
-    ) -> int:
-        is_in = bool(kind & 0x80)
-        given = len(data) if is_in else bytes(data).hex()
-        answer = self._answer("ctrl_transfer", handle, kind, request, value, index, given)
-        if not is_in:
-            return int(answer)
-        content = bytes.fromhex(answer)
-        for position, byte in enumerate(content):
-            data[position] = byte
-        return len(content)
-
-    def packet_stream(self, handle: int, endpoint: int, packet_bytes: int) -> "DialoguePlayer":
-        self._answer("packet_stream", handle, endpoint, packet_bytes)
-        return self
-
-    def read(self, timeout_ms: int) -> list[Packet]:
-        """Read as `PacketStream` does. After the end nothing more comes in time."""
-        batches = self._answers[json.dumps(["packets"])]
-        if not batches:
-            self._clock.sleep(timeout_ms / 1000)
-            raise usb.core.USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT)
-        return [_lengthen(packet) for packet in _value(batches.popleft())]
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return lambda *given: self._answer(name, *given)
-
-    def _answer(self, *words: Any) -> Any:
-        answers = self._answers.get(json.dumps(list(words)))
-        if not answers:
-            raise RecordingError(
-                f"dialogue {self._path} has no answer to {list(words)}: the driver did not ask this when it was "
-                "recorded; record it again with this version"
-            )
-        answer = _value(answers.popleft() if len(answers) > 1 else answers[0])
-        if words[0] not in _DESCRIPTORS:
-            return answer
-        extra = bytes.fromhex(answer.pop("extra_descriptors", ""))
-        return SimpleNamespace(**answer, extra_descriptors=extra)
-
-
 def record_dialogue(
     backend: Any, serial: str | None, clock: Clock, *, lock_name: str | None = None
 ) -> list[str]:
@@ -265,17 +178,6 @@ def _as_json(names: str) -> Callable[[Any], dict[str, Any]]:
     return describe
 
 
-def _value(answer: Any) -> Any:
-    """Return the answer of a line. Errors: what the bus had raised there."""
-    if not (isinstance(answer, dict) and "error" in answer):
-        return answer
-    if not answer["error"]:
-        raise IndexError
-    text, code, number = answer["error"]
-    kind = usb.core.USBTimeoutError if number == errno.ETIMEDOUT else usb.core.USBError
-    raise kind(text, code, number)
-
-
 def _shorten(packet: Packet) -> list[Any] | None:
     """[first bytes, how many were left out, last bytes]; None for a packet that was lost."""
     if not packet.arrived:
@@ -287,10 +189,3 @@ def _shorten(packet: Packet) -> list[Any] | None:
         kept = data.index(_START_OF_SCAN) + _KEPT
     last = max(kept, len(data) - _KEPT)
     return [data[:kept].hex(), last - kept if last < len(data) else 0, data[last:].hex()]
-
-
-def _lengthen(kept: list[Any] | None) -> Packet:
-    if kept is None:
-        return Packet(b"", arrived=False)
-    first, left_out, last = kept
-    return Packet(bytes.fromhex(first) + bytes(left_out) + bytes.fromhex(last))
