@@ -12,18 +12,19 @@ from stepped_station import SteppedStation
 
 from edge.clock import SystemClock
 from edge.config import load_config
-from edge.core.errors import ConfigError
+from edge.core.errors import ConfigError, StoreError
 from edge.core.part_position import PartPosition
 from edge.core.press import Press, PressLabel, ReferenceLabel, StudyLabel
 from edge.features.outputs.stage import Outputs
 from edge.features.overview import Overview
+from edge.features.piece import Pieces
 from edge.gateway.preflight import preflight
 from edge.model.bundle import Bundle
 from edge.press_stage import PressStage
 from edge.store.acts import Act
 from edge.store.history import HistoryQuery, read_history
 from edge.store.integrity import check_database
-from edge.store.press_store import PressRecord
+from edge.store.press_store import PressRecord, Store
 from edge.store.study_presses import StudyTable
 
 NAMES = ("left", "middle", "right")
@@ -366,6 +367,26 @@ def test_a_write_that_fails_in_the_middle_of_an_end_ends_nothing(configure: Make
         station.play()
         assert [one["verdict"] for one in station.ended()] == ["pass"]
         assert station.parts.store.read("t", lambda it: it.execute(query).fetchone()) == (3,)
+
+
+def test_a_begin_that_is_committed_and_reported_as_failed_is_known_at_the_next_turn(
+    configure: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by a disk that fails after the write: a press goes to the piece that the database has."""
+    write = Store.write
+
+    def fail_after(store: Store, doing: str, change: Callable[..., Any]) -> None:
+        write(store, doing, change)
+        raise StoreError("disk I/O error")
+
+    with PieceStation(configure(plan(), presses=1)) as station:
+        station.play_until(lambda: station.loop.session is not None)
+        with monkeypatch.context() as patched:
+            patched.setattr(Store, "write", fail_after)
+            with pytest.raises(StoreError):
+                station.find(Pieces).begin_piece("P1")
+        station.play()
+        assert station.results[0].piece_id == "P1"
 
 
 def test_a_takeover_in_the_middle_of_a_piece_counts_for_the_places_after_it(
