@@ -64,7 +64,7 @@ ALARMS: Final[Mapping[str, Alarm]] = {
         title="A receiver refuses messages",
     ),
     "receiver": Alarm(
-        'correct the broker\'s rules; set `protocol = "5"`; give each station its own name',
+        'correct the broker\'s rules; set `protocol = "5"`; give each station its own name, and each page its own port',
         title="A receiver works with a fault",
     ),
     "counts": Alarm(

@@ -14,7 +14,7 @@ from page_messages import ROOT, T0_NS, ask, asked, gel, info, press, reference, 
 from waiting import wait_until
 
 from edge.clock import ManualClock
-from edge.core.errors import ConfigError, SinkRejected
+from edge.core.errors import SinkRejected
 from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.sink_context import Station
@@ -258,12 +258,23 @@ def test_what_cannot_be_shown_is_refused_and_ends_nothing(sink: PageSink) -> Non
     assert ask(sink.port, "/presses.json") == (200, b"[]")
 
 
-def test_a_port_that_is_taken_is_a_refusal() -> None:
-    """At the start, with the port and what to do."""
+def test_a_port_that_is_taken_stops_no_station() -> None:
+    """`check` warns, the alarm `receiver` says what to do, and the page is served once the port is free."""
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = int(taken.getsockname()[1])
-        with pytest.raises(ConfigError, match=f"127.0.0.1:{port}: .*choose another port"):
-            plugin.open(PageOptions(port=port), Station(ROOT, "press2"))
+        options = PageOptions(port=int(taken.getsockname()[1]))
+        with closing(plugin.open(options, Station(ROOT, "press2"))) as sink:
+            sink.send(state("ready"))
+            (fault,) = sink.faults
+            assert f"127.0.0.1:{options.port}: Address already in use; choose another port" in fault
+            (warning,) = options.warnings()
+            assert f"127.0.0.1:{options.port} cannot be served now (Address already in use)" in warning
+
+            taken.close()
+            assert options.warnings() == []
+            sink.send(stats(mqtt="up"))
+
+            assert (sink.port, sink.faults) == (options.port, ())
+            assert asked(sink.port, "/state.json")["state"] == "ready"
 
 
 def test_a_connection_that_a_browser_keeps_open_ends_with_the_page(sink: PageSink) -> None:
