@@ -130,7 +130,8 @@ class TriesLogin(HasAddress, Protocol):
     """Options of a sink whose receiver may refuse the station; `gelgate check` asks it."""
 
     def try_login(self) -> str:
-        """Say, in one sentence, who lets the station in. Errors: SinkUnavailable."""
+        """Say, in one sentence, who lets the station in. Errors: SinkRejected where it does not, which a person has to
+        correct; SinkUnavailable."""
 
 
 @runtime_checkable

@@ -6,10 +6,10 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
-from edge.core.errors import ConfigError
+from edge.core.errors import ConfigError, SinkRejected
 from edge.core.sink_context import topic_level
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES
-from edge.messaging.mqtt_broker import Broker, tls_context
+from edge.messaging.mqtt_broker import Broker, LoginRefused, tls_context
 from edge.messaging.mqtt_connection import Connection
 
 __all__ = ["LARGEST_PACKET_BYTES", "BrokerOptions", "MqttOptions", "TlsOptions", "TopicLevel"]
@@ -112,12 +112,15 @@ class BrokerOptions(BaseModel):
 
     def try_login(self) -> str:
         """Connect as the sink does, with a client id of its own: that of a station that runs would end its connection.
-        Errors: SinkUnavailable."""
+        Errors: SinkRejected where it is refused, SinkUnavailable."""
         broker = self.broker("gelgate")
         trial = replace(
             broker, client_id=f"{broker.client_id}-check", timeout_s=min(broker.timeout_s, TRIAL_S)
         )
-        connection = Connection.open(trial)
+        try:
+            connection = Connection.open(trial)
+        except LoginRefused as error:
+            raise SinkRejected(f"{error} (asked as client '{trial.client_id}')") from error
         connection.close()
         return f"{broker} lets this station in, MQTT {connection.level}"
 
