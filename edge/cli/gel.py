@@ -15,16 +15,18 @@ from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
 from edge.clock import local_day, local_time
 from edge.config import load_config
 from edge.config.tables import GelTable
-from edge.core.errors import ConfigError
+from edge.core.errors import ConfigError, StoreError
 from edge.core.gel_life import GelLabel, is_past
 from edge.core.part_position import PartPosition
-from edge.core.printable import printable
+from edge.core.printable import printable, write_count
 from edge.core.suggest import suggestion
+from edge.messaging.publisher import PublisherLock
 from edge.messaging.status_payloads import GelPayload
 from edge.store import gel_ledger, gel_proofs
 from edge.store.acts import Act
 from edge.store.database import open_read_only
 from edge.store.gel_proofs import GelBundle
+from edge.store.press_counts import PressCounts
 from edge.store.press_store import GelRecord, Store
 
 __all__ = ["gel", "user"]
@@ -88,9 +90,10 @@ def replace(
         raise ConfigError(str(error)) from error
     asked |= dataclasses.asdict(label)
     with _open(config, database) as store:
-        known = sorted({record.serial for record in store.gels()})
+        on = _choose_serial(serial, sorted({record.serial for record in store.gels()}))
+        _refuse_waiting(store.path, on)
         record = store.replace_gel(
-            _choose_serial(serial, known),
+            on,
             now_ns,
             gel_id,
             limit,
@@ -164,6 +167,21 @@ def _choose_serial(serial: str | None, known: list[str]) -> str:
     if serial is not None and serial not in known:
         raise ConfigError(f"no gel of a sensor '{serial}' is in the ledger; {suggestion(serial, known)}")
     return serial or known[0]
+
+
+def _refuse_waiting(database: Path, serial: str) -> None:
+    """Refuse a new gel while a station has presses of the old one to record. Those of one that died are counted first.
+    Errors: StoreError."""
+    count = PressCounts(database).read().get(serial)
+    if count is None or not count.uncounted:
+        return
+    try:
+        PublisherLock(database).close()
+    except StoreError as error:
+        raise StoreError(
+            f"the station that runs on database {database} has {write_count(count.uncounted, 'press')} of sensor "
+            f"{serial} to record on the old gel; see its alarm `store`, and replace the gel after it"
+        ) from error
 
 
 def _open(config: Path, database: Path | None) -> Store:

@@ -6,6 +6,9 @@ import pytest
 from full_disk import room_for
 from stepped_station import SteppedStation
 
+from edge.cli.gel import replace
+from edge.core.errors import StoreError
+from edge.store.press_counts import PressCounts
 from edge.store.press_store import Store
 
 
@@ -35,16 +38,25 @@ def test_a_full_disk_halts_the_station_and_loses_no_press(station: SteppedStatio
         assert [gel.presses for gel in store.gels()] == [3]
 
 
-def test_no_gel_is_replaced_while_presses_of_it_wait(station: SteppedStation) -> None:
-    """They would be counted on the new one."""
-    station.play_until(lambda: station.loop.session is not None)
-    with station.refusing("presses"):
-        station.play_until(lambda: station.loop.is_halted)
-        with pytest.raises(ValueError, match="a press waits to be recorded; see the alarm `store`"):
-            station.ask("replace_gel")
-    station.turn()
-    station.ask("replace_gel")
-    assert [gel.presses for gel in station.parts.store.gels()] == [1, 0]
+def test_no_gel_is_replaced_while_presses_of_it_wait(config: Path, tmp_path: Path) -> None:
+    """They would be counted on the new one; from the command line too, which may find room where the station does not.
+    Those of a station that died are counted on the old one."""
+    database = tmp_path / "gelgate.db"
+    with SteppedStation(config) as station:
+        station.play_until(lambda: station.loop.session is not None)
+        with station.refusing("presses"):
+            station.play_until(lambda: station.loop.is_halted)
+            with pytest.raises(ValueError, match="a press waits to be recorded; see the alarm `store`"):
+                station.ask("replace_gel")
+            with pytest.raises(StoreError, match="has 1 press of sensor TEST0001 to record on the old gel"):
+                replace(database=database)
+        station.turn()
+        station.ask("replace_gel")
+        assert [gel.presses for gel in station.parts.store.gels()] == [1, 0]
+    PressCounts(database).set_uncounted("TEST0001", 2)
+    replace(database=database)
+    with Store(database) as store:
+        assert [gel.presses for gel in store.gels()] == [1, 2, 0]
 
 
 @pytest.mark.parametrize("is_written", [False, True])
