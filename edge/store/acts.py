@@ -35,12 +35,19 @@ TAKE_OVER: Final = "take_over"
 # That the station asks about a press once more.
 ASK_AGAIN: Final = "ask_again"
 
-# Acts that were done, what people said, and refused requests are counted apart: a flood of refusals pushes out no act,
-# and a line that selects a part every few seconds pushes out no word of a person.
+# Counted apart: refused requests, what people said, what a line asks for with each part, and all others. So no flood of
+# refusals, and no line that selects a part every few seconds, pushes out what a person did. At a page is a person.
 KEPT_ACTS: Final = 100_000
 KEPT_REFUSALS: Final = 10_000
 
 Outcome = Literal["done", "failed", "refused"]
+
+_EACH_PART: Final = "verb IN ('select_part', 'begin_piece', 'trigger') AND who NOT LIKE '%page'"
+_KINDS: Final = (
+    f"verb = '{CONFIRM}'",
+    _EACH_PART,
+    f"verb <> '{CONFIRM}' AND NOT ({_EACH_PART})",
+)
 
 _COLUMNS = "time_ns, who, verb, request, arguments, signature, outcome, sentence, before, after, act_id"
 
@@ -85,9 +92,12 @@ def begin(connection: sqlite3.Connection, act: Act, running_ns: int) -> int:
     if act.outcome != "refused":
         ledger_chain.append(connection, "act", number)
     _remove_old(connection, number, "outcome = 'refused'", KEPT_REFUSALS)
-    done = "outcome IS NOT 'refused' AND verb"
-    kinds = (f"{done} {which} '{CONFIRM}'" for which in ("<>", "="))
-    removed = [_remove_old(connection, number, kind, KEPT_ACTS) for kind in kinds]
+    done = "outcome IS NOT 'refused' AND"
+    # Each reads all acts, so each has its turn.
+    removed = [
+        _remove_old(connection, number + turn, f"{done} {kind}", KEPT_ACTS)
+        for turn, kind in enumerate(_KINDS)
+    ]
     if any(removed):
         ledger_chain.note_removed_acts(connection, max(removed))
     return number
@@ -95,7 +105,7 @@ def begin(connection: sqlite3.Connection, act: Act, running_ns: int) -> int:
 
 def _remove_old(connection: sqlite3.Connection, number: int, condition: str, kept: int) -> int:
     """Keep the newest that fit, and up to a hundredth more: all are counted at one act in so many, for it takes long.
-    number: of the newest act. Return the newest id that was removed, or 0."""
+    number: counts acts. Return the newest id that was removed, or 0."""
     if number % max(1, kept // 100):
         return 0
     oldest = f"SELECT act_id FROM acts WHERE {condition} ORDER BY act_id DESC LIMIT 1 OFFSET ?"

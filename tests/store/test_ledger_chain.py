@@ -269,6 +269,23 @@ def test_acts_that_go_leave_a_sound_chain(used: Path, monkeypatch: pytest.Monkey
     assert ledger(used)[0].startswith(f"act {kept[1]} was removed")
 
 
+def test_what_a_line_does_with_each_part_pushes_out_nothing_that_a_person_did(
+    used: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The plan of a piece selects each place: 50,000 pieces had pushed out the change of the gel."""
+    monkeypatch.setattr(acts, "KEPT_ACTS", 3)
+    with Store(used) as store:
+        store.replace_gel(SERIAL, T0, act=Act(T0, "x", "replace_gel", outcome="done"))
+        store.begin_act(Act(T0, "ann, at the page", "select_part", outcome="done"), 0)
+        for n in range(8):
+            store.begin_act(Act(T0 + n, "the plan of the piece", "select_part", outcome="done"), 0)
+    kept = [row[0] for row in execute(used, "SELECT who FROM acts WHERE verb = 'select_part'")]
+
+    assert kept == ["ann, at the page", *["the plan of the piece"] * 3]
+    assert len(execute(used, "SELECT 1 FROM acts WHERE verb = 'replace_gel' AND who = 'x'")) == 1
+    assert ledger(used) == []
+
+
 def test_an_act_reads_nothing_of_those_before(used: Path) -> None:
     """A line that selects a part every few seconds has a hundred thousand of them."""
     rows = "WITH RECURSIVE n (i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 5000) "
