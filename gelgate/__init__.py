@@ -4,6 +4,8 @@ What `__all__` names is public: it changes as semver.org says. All else may chan
 has the examples. Nothing is imported before it is used.
 """
 
+import os
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -25,6 +27,9 @@ def __getattr__(name: str) -> Any:
 
 def main() -> NoReturn:
     """Run the command line. Ends with 3 where `edge` is another program's."""
+    # A service that is asked to reload while it is loaded, which takes a second, has read nothing yet.
+    if sys.argv[1:2] == ["run"] and not os.isatty(0):
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
     # The program stands outside `edge`, to say so where another folder of that name hides the package.
     try:
         from edge.cli import main as run

@@ -65,15 +65,15 @@ def run(
 
     It reads the sensor, scores every press, publishes the verdict and counts the press on its gel. Ctrl-C or SIGTERM
     ends it."""
-    logs.start("json" if log_json else "text", is_verbose=verbose)
-    os.umask(os.umask(0o077) | 0o027)  # results and counts are not for every user of the machine
-    loaded = load_config(config, state_dir)
-    clock = SystemClock()
     # A closed terminal (SIGHUP) ends it in good order; without a terminal SIGHUP reloads, as for a service, and one
     # that comes during the start is done after it.
     is_service, early = not os.isatty(0), threading.Event()
     if is_service:
         signal.signal(signal.SIGHUP, lambda *_: early.set())
+    logs.start("json" if log_json else "text", is_verbose=verbose)
+    os.umask(os.umask(0o077) | 0o027)  # results and counts are not for every user of the machine
+    loaded = load_config(config, state_dir)
+    clock = SystemClock()
     with preflight(loaded, clock) as checked:
         for finding in checked.findings:
             if finding.error is not None and not (wait_for_device and isinstance(finding.error, DeviceError)):
