@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import Final
 
 from edge.core.binomial import CONFIDENCE, trials_needed, upper_rate
+from edge.core.printable import score_texts
 from edge.core.sentence import Sentence
 from edge.core.shadow import LEAST_ON_NEW_GEL
 
@@ -63,8 +64,9 @@ class GelProof:
         """The presses on this gel and their alarms, in words."""
         if self.presses == 0:
             return Sentence("no press on this gel yet")
+        rate, _ = score_texts(self.rate, PROVEN_RATE, 0, "%")
         return Sentence(
-            f"on this gel {self.alarms} of {self.presses} presses alarmed, which allows {self.rate:.0%} of false alarms"
+            f"on this gel {self.alarms} of {self.presses} presses alarmed, which allows {rate} of false alarms"
         )
 
     def unproven(self, bundle: str, gel_id: str) -> Sentence | None:

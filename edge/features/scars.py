@@ -17,6 +17,7 @@ from edge.core.gel_scars.press import ScoredPress, without_marks
 from edge.core.gel_scars.record import ScarRecord
 from edge.core.imaging.frames import CameraFrame
 from edge.core.press import Press, ScarFindings
+from edge.core.printable import score_texts
 from edge.core.registration.pose import warp
 from edge.core.sentence import Sentence
 from edge.core.verdict import Blame, Cause, Kind
@@ -184,10 +185,11 @@ def mask_scars(press: Press, findings: ScarFindings, bundle: Bundle) -> Press:
     return replace(press, verdict=verdict, score_map=score_map, scars=findings).distrust()
 
 
-def _too_blind(gel_id: str, judged: Judged, most_blind_share: float) -> Sentence:
+def _too_blind(gel_id: str, judged: Judged, most: float) -> Sentence:
+    blind_share, most_blind_share = score_texts(judged.blind_share, most, 0, "%")
     return Sentence(
-        f"{judged.blind_mm2:.1f} mm2 of the contact, {judged.blind_share:.0%} of it, lie under scars of gel "
-        f"{gel_id} and are not judged, at most {most_blind_share:.0%} are accepted; wipe the gel, or mount a "
+        f"{judged.blind_mm2:.1f} mm2 of the contact, {blind_share} of it, lie under scars of gel "
+        f"{gel_id} and are not judged, at most {most_blind_share} are accepted; wipe the gel, or mount a "
         "new one and run `gelgate gel replace`"
     )
 

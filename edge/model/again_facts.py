@@ -7,6 +7,7 @@ from typing import Any, Final
 from pydantic import Field, ValidationError
 
 from edge.core.press_again import Costs, KnownScores, Plan, plan
+from edge.core.printable import write_most
 from edge.model.manifest import Manifest
 from edge.model.manifest_files import Entry
 
@@ -56,10 +57,6 @@ def again_sentence(plan: Plan) -> str:
         return f"never: {plan.why}"
     return (
         f"pays up to a score of {plan.bound:.4g}: {plan.presses:.3f} presses a piece, false alarms at most "
-        f"{_shares(plan.false_alarms)}, rendered damage missed {_shares(plan.misses)}"
+        f"{' -> '.join(map(write_most, plan.false_alarms))}, rendered damage missed "
+        f"{' -> '.join(f'{100 * share:.3g} %' for share in plan.misses)}"
     )
-
-
-def _shares(shares: tuple[float, float]) -> str:
-    before, after = shares
-    return f"{100 * before:.3g} % -> {100 * after:.3g} %"

@@ -54,6 +54,7 @@ def test_twenty_two_presses_without_an_alarm_are_enough() -> None:
     assert GelProof(None, "x", 21).still_needed == 1
     assert [GelProof(None, "x", presses).still_needed for presses in (22, 23, 100)] == [0, 0, 0]
     assert 1 - 0.9**22 >= 0.9 > 1 - 0.9**21
+    assert "alarmed, which allows 10.4% of false alarms" in GelProof(None, "x", 21).sentence  # more than 10 %
 
 
 def test_an_alarm_asks_for_more_presses() -> None:

@@ -1,5 +1,7 @@
 """What `fit` states for one more press of a piece: scores of pieces pressed twice, and of rendered damage."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import turned_parts as parts
@@ -50,6 +52,8 @@ def test_a_plan_follows_from_them(fit: Fitted) -> None:
     assert found.bound is not None
     assert found.false_alarms[1] <= found.false_alarms[0]
     assert "presses a piece, false alarms at most" in again_sentence(found)
+    rounded = replace(found, false_alarms=(0.05001, 0.0123))
+    assert "false alarms at most 5.1 % -> 1.3 %, rendered" in again_sentence(rounded)
 
 
 def test_without_a_picture_of_the_free_gel_there_are_none() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from edge.core.arrays import F64, U8
 from edge.core.imaging.sensor_check import colour_cells, colour_distance
+from edge.core.printable import score_texts
 
 __all__ = [
     "CELLS",
@@ -94,9 +95,10 @@ class HeightCalibration:
             )
         distance = colour_distance(colour_cells(free_rgb, CELLS), self.free_levels)
         if distance > _OTHER_GEL:
+            share, most = score_texts(distance, _OTHER_GEL, 0, "%")
             return (
-                f"the free gel differs from that of calibration '{self.name}' by {distance:.0%} of its light, at most "
-                f"{_OTHER_GEL:.0%}: another gel, sensor or crop; calibrate again with this gel"
+                f"the free gel differs from that of calibration '{self.name}' by {share} of its light, at most "
+                f"{most}: another gel, sensor or crop; calibrate again with this gel"
             )
         return ""
 

@@ -10,6 +10,7 @@ from edge.core.arrays import F32, F64, U8, Mask
 from edge.core.contact.reference import fit_levels
 from edge.core.errors import HeightError
 from edge.core.heights.calibration import SIZE, HeightCalibration, place_powers
+from edge.core.printable import score_texts
 
 __all__ = [
     "HeightMap",
@@ -67,8 +68,9 @@ def measure_heights(
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     free = cv2.dilate(touched.astype(np.uint8), kernel) == 0
     if free.mean() < _LEAST_FREE:
+        share, least = score_texts(float(free.mean()), _LEAST_FREE, 0, "%")
         raise HeightError(
-            f"{free.mean():.0%} of the view show free gel, at least {_LEAST_FREE:.0%} are expected, for light and "
+            f"{share} of the view show free gel, at least {least} are expected, for light and "
             "height are compared there; press so that the part covers less of the view"
         )
     heights = part_heights(change, calibration, calibration.light(free_rgb), free=free)
@@ -109,8 +111,9 @@ def find_touched(rgb: U8, free_rgb: U8) -> tuple[F32, Mask]:
         )
     saturated = float((rgb[touched] >= _SATURATED_LEVEL).any(axis=1).mean())
     if saturated > _MOST_SATURATED:
+        share, most = score_texts(saturated, _MOST_SATURATED, 0, "%")
         raise HeightError(
-            f"{saturated:.0%} of the contact is saturated, at most {_MOST_SATURATED:.0%} are accepted, for a colour at "
+            f"{share} of the contact is saturated, at most {most} are accepted, for a colour at "
             "its end tells no slope; lower the exposure"
         )
     return change, touched

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.mask import BLACK_LEVEL, Touch
+from edge.core.printable import score_texts
 from edge.core.sentence import Sentence
 
 __all__ = [
@@ -99,10 +100,11 @@ def check_light(rgb: NDArray[np.uint8]) -> Rejection | None:
             "check the sensor's light and cable"
         )
         return Rejection(Reason.BLACK, text)
-    share = float((rgb.max(axis=2) >= SATURATED_LEVEL).mean())
-    if share > SATURATED_SHARE:
+    saturated = float((rgb.max(axis=2) >= SATURATED_LEVEL).mean())
+    if saturated > SATURATED_SHARE:
+        share, saturated_share = score_texts(saturated, SATURATED_SHARE, 0, "%")
         text = Sentence(
-            f"{share:.0%} of the frame is saturated, at most {SATURATED_SHARE:.0%} is accepted; lower the "
+            f"{share} of the frame is saturated, at most {saturated_share} is accepted; lower the "
             "exposure or the press depth"
         )
         return Rejection(Reason.SATURATED, text)

@@ -12,6 +12,7 @@ import numpy as np
 
 from edge.core.arrays import F32, F64, U8
 from edge.core.imaging.quality import Reason, Rejection
+from edge.core.printable import score_texts
 from edge.core.sentence import Sentence
 
 __all__ = [
@@ -79,12 +80,13 @@ def check_sensor(rgb: U8, nominal: NominalColours) -> Rejection | None:
     """Another sensor, gel or light, or None. rgb: uint8 (h, w, 3), the inspected region."""
     rows, columns = nominal.cells.shape[:2]
     cells = colour_cells(rgb, (rows, columns))
-    distance = colour_distance(cells, nominal.cells)
-    if distance <= nominal.limit:
+    apart = colour_distance(cells, nominal.cells)
+    if apart <= nominal.limit:
         return None
+    distance, limit = score_texts(apart, nominal.limit, 1, "%")
     text = Sentence(
-        f"the colours differ by {distance:.1%} of the light from those of the nominal presses, at most "
-        f"{nominal.limit:.1%} is accepted; {likely_cause(cells, nominal)}"
+        f"the colours differ by {distance} of the light from those of the nominal presses, at most "
+        f"{limit} is accepted; {likely_cause(cells, nominal)}"
     )
     return Rejection(Reason.OTHER_SENSOR, text)
 

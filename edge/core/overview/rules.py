@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.overview.view import PRESENT_SHARE, Code, CodeKind, OverviewView, TagFamily, Zone
 from edge.core.part_position import PartPosition
-from edge.core.printable import printable
+from edge.core.printable import printable, score_texts
 from edge.core.sentence import Sentence
 
 __all__ = ["OverviewRules", "read_codes", "share_of_change"]
@@ -167,9 +167,10 @@ class OverviewRules:
             text = Sentence(f"the part was not seen before the press: {view.fault}")
             return Rejection(Reason.NO_OVERVIEW, text)
         if view.is_present is False and view.changed is not None:
+            changed, present_share = score_texts(view.changed, self.present_share, 1, "%")
             text = Sentence(
-                f"{view.changed:.1%} of the overview differs from the empty station, a part changes at least "
-                f"{self.present_share:.1%}; place the part, then press"
+                f"{changed} of the overview differs from the empty station, a part changes at least "
+                f"{present_share}; place the part, then press"
             )
             return Rejection(Reason.NO_PART, text)
         return self._other_part(view, selected, named_by) if self.codes else None

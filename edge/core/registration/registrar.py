@@ -204,9 +204,10 @@ class Registrar:
                 "the gel is clean"
             )
         if seen_share < self.part.least_seen:
+            share, most = score_texts(1 - seen_share, 1 - self.part.least_seen, 0, "%")
             return Sentence(
-                f"{1 - seen_share:.0%} of the part lie outside the inspected region, at most "
-                f"{1 - self.part.least_seen:.0%} are accepted; press it nearer to the middle"
+                f"{share} of the part lie outside the inspected region, at most {most} are accepted; press it nearer "
+                "to the middle"
             )
         return None
 
