@@ -13,7 +13,7 @@ import ctypes
 import hashlib
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
@@ -24,10 +24,9 @@ from numpy.typing import NDArray
 from calibration.experiments.harness.rows import ROW_FORMAT
 from calibration.experiments.tradeoff.accuracy import measure_accuracy
 from calibration.experiments.tradeoff.front import Row
-from calibration.experiments.tradeoff.plan import Run, RunSettings
+from calibration.experiments.tradeoff.plan import Run, TradeoffArguments
 from calibration.experiments.tradeoff.point import VIEWS
-from calibration.experiments.tradeoff.presses import Seen, see
-from calibration.experiments.tradeoff.run import read_or_measure
+from calibration.experiments.tradeoff.run import Frames, read_or_measure
 from calibration.experiments.tradeoff.timing import Lane
 from calibration.fitting.trunks import open_trunk
 from calibration.progress import progress
@@ -45,34 +44,32 @@ _M_MMAP_THRESHOLD, _LARGE_BYTES = -3, 1 << 20
 NAMES: Final = {"padim": "anomalib_padim", "patchcore": "anomalib_patchcore"}
 
 
-def peers(run: Run, frames: Mapping[str, Sequence[CameraFrame]]) -> list[tuple[Row, Lane]]:
+def peers(run: Run, frames: Frames) -> list[tuple[Row, Lane]]:
     """Return the rows, not yet timed, and lanes of both models, fitted on the first presses and scored as every point.
-    frames: camera frames to be timed on, by the name of the profile."""
+    frames: camera frames to be timed on."""
     import torch
 
-    torch.set_num_threads(run.settings.threads)
-    seen = see(run.chosen, VIEWS["lr"])
-    assert len(seen.nominal) >= PRESSES, "press more good parts"
+    torch.set_num_threads(run.given.threads)
+    assert len(run.chosen.fitted) >= PRESSES, "press more good parts"
     normalise = _normaliser()
-    return [_fit(method, run, seen, normalise, frames[VIEWS["lr"].profile_name]) for method in LAYERS]
+    return [_fit(method, run, normalise, frames[VIEWS["lr"].profile.size]) for method in LAYERS]
 
 
 def _fit(
     method: str,
     run: Run,
-    seen: Seen,
     normalise: Callable[[NDArray[np.uint8]], Any],
     frames: Sequence[CameraFrame],
 ) -> tuple[Row, Lane]:
     import torch
 
-    torch.manual_seed(run.settings.seed)
+    torch.manual_seed(run.given.seed)
     model = _model(method)
     start = time.perf_counter()
-    nominal = [normalise(frame) for frame in seen.nominal.frames[:PRESSES]]
+    nominal = [normalise(frame) for frame in run.chosen.read(run.chosen.fitted[:PRESSES], VIEWS["lr"])]
     learn(method, model, nominal)
     seconds = time.perf_counter() - start
-    found = [_score(model, normalise(frame)) for frame in seen.frames]
+    found = [_score(model, normalise(frame)) for frame in run.chosen.read(run.chosen.scored, VIEWS["lr"])]
     maps, scores = zip(*found, strict=True)
     accuracy = measure_accuracy(maps, np.array(scores), run.truth)
     row = _row(method, model, accuracy, seconds, nominal[0])
@@ -83,7 +80,7 @@ def _fit(
         _score(model, normalise(rgb))
         return 0.0, (time.perf_counter() - start) * 1e3  # its trunk is part of the model
 
-    return row, Lane(VIEWS["lr"], frames, score, (VIEWS["lr"].profile_name, key, key))
+    return row, Lane(VIEWS["lr"], frames, score, (VIEWS["lr"].profile.size, key, key))
 
 
 def learn(method: str, model: Any, planes: Sequence[Any]) -> None:
@@ -246,5 +243,4 @@ if __name__ == "__main__":
     for name in ("--part", "--position"):
         words.add_argument(name)
     given = words.parse_args()
-    settings = RunSettings(given.dataset, given.part, given.position)
-    read_or_measure(Run.of(settings), given.output, True, progress, print, peers)
+    read_or_measure(Run.of(TradeoffArguments(**vars(given), overwrite=True)), progress, print, peers)

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.dataset.press import empty_masks, repeated_pictures
 from calibration.experiments.harness.cells import Cell
 from calibration.experiments.harness.feature_cache import Taken, take_features
 from calibration.experiments.harness.presses import StudyPresses, open_presses, presses_of
@@ -77,15 +76,6 @@ class Material:
         masks = np.zeros((len(rows), *self.presses.masks.shape[1:]), np.bool_)
         masks[is_defective] = self.presses.masks[rows[is_defective] - self.presses.nominal]
         return TestPresses(self.taken.each(rows, taps), masks, is_defective)
-
-    @cached_property
-    def remarks(self) -> list[str]:
-        """Sentences on what may be a mistake: empty masks of some presses, and copies of pictures."""
-        presses, where = self.presses.pictures.presses, f"{self.presses.part}/{self.presses.position}"
-        return [
-            *empty_masks(where, presses[self.presses.nominal :], self.presses.masks),
-            *repeated_pictures(where, presses, self.presses.pictures.digests),
-        ]
 
     @cached_property
     def facts(self) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
 from edge.core.imaging.region import Region
 from edge.core.imaging.tiles import Tiles
 
-__all__ = ["LR_VIEW", "PressPictures", "View", "tile"]
+__all__ = ["LR_VIEW", "PressPictures", "View", "find_centre", "tile"]
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,13 @@ class View:
 
 LR_VIEW = View(SIZES["lr"], Region.centre(SIZES["lr"]), LR_PIXELS_PER_MM)
 """The paper's low resolution: the central 224x224 of 320x240."""
+
+
+def find_centre(size: tuple[int, int]) -> Region:
+    """Return what `LR_VIEW` shows of the gel, in pixels of a picture of another size."""
+    across, down = size[0] // LR_VIEW.size[0], size[1] // LR_VIEW.size[1]
+    low = LR_VIEW.region
+    return Region(low.x * across, low.y * down, low.width * across, low.height * down)
 
 
 def tile(trunk: Trunk, layout: Tiles) -> Trunk:

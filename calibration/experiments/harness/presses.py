@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dataset import SIZES, Dataset, LabelledPress, Resolution, open_dataset, split_by_specimen
+from calibration.dataset.press import empty_masks, repeated_pictures
 from calibration.experiments.harness.cells import Split
 from calibration.experiments.harness.pictures import LR_VIEW, PressPictures, View
 from edge.core.errors import DatasetError
@@ -57,6 +58,15 @@ class StudyPresses:
                 "empty in the inspected region: no damage can be found there; export masks that show it"
             )
         return masks
+
+    @cached_property
+    def remarks(self) -> list[str]:
+        """Sentences on what may be a mistake: empty masks of some presses, and copies of pictures."""
+        presses, where = self.pictures.presses, f"{self.part}/{self.position}"
+        return [
+            *empty_masks(where, presses[self.nominal :], self.masks),
+            *repeated_pictures(where, presses, self.pictures.digests),
+        ]
 
 
 @dataclass(frozen=True)

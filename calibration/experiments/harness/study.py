@@ -232,7 +232,7 @@ def run_study(cells: Sequence[Cell], evaluation: type[Evaluation], options: Opti
     materials = {
         place: _extract(place, options) for place in dict.fromkeys(chain(*map(evaluate.places, cells)))
     }
-    for remark in dict.fromkeys(chain(*(found.remarks for found in materials.values()))):
+    for remark in dict.fromkeys(chain(*(found.presses.remarks for found in materials.values()))):
         _say(remark)
     for cell in {(evaluate.places(cell), cell.split): cell for cell in cells}.values():
         evaluate.check(cell, *(materials[place] for place in evaluate.places(cell)))

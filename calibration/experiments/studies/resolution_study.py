@@ -30,7 +30,7 @@ from calibration.experiments.harness.evidence import effects
 from calibration.experiments.harness.figures import draw_conditions
 from calibration.experiments.harness.material import Drawn, Material, Place, fit_cell
 from calibration.experiments.harness.page import Figures, Page, figure_file, make_page, tabulate_medians
-from calibration.experiments.harness.pictures import LR_VIEW, PressPictures, View, tile
+from calibration.experiments.harness.pictures import LR_VIEW, PressPictures, View, find_centre, tile
 from calibration.experiments.harness.presses import (
     TEST_SEED,
     HeldOut,
@@ -65,9 +65,8 @@ if TYPE_CHECKING:
 __all__ = ["COMMON", "STUDY", "VIEWS", "ViewPlace", "cap_presses", "common_map", "page", "study_resolution"]
 
 _LR, _HR = SIZES["lr"], SIZES["hr"]
-_ACROSS, _DOWN = _HR[0] // _LR[0], _HR[1] // _LR[1]
 # Across, as in the sensor profile of 1280x720; down it is three quarters of this.
-_HR_PIXELS_PER_MM = LR_PIXELS_PER_MM * _ACROSS
+_HR_PIXELS_PER_MM = LR_PIXELS_PER_MM * (_HR[0] // _LR[0])
 
 
 _HR_FULL, _HR_TILED = (
@@ -82,15 +81,14 @@ VIEWS: Mapping[str, View] = {
     "lr_full": View(_LR, Region.full(_LR), LR_PIXELS_PER_MM),
 }
 
-_CENTRE = LR_VIEW.region
-COMMON = Region(_CENTRE.x * _ACROSS, _CENTRE.y * _DOWN, _CENTRE.width * _ACROSS, _CENTRE.height * _DOWN)
+COMMON = find_centre(_HR)
 """The field of view of `lr` in pixels of 1280x720."""
 
 
 def common_map(pixels: NDArray[Any], view: View) -> NDArray[np.float32]:
     """A score map (h, w) of a view in the common field of view: float32 (COMMON.height, COMMON.width)."""
     found = np.asarray(pixels, np.float32)
-    if view.region == _CENTRE:
+    if view.region == LR_VIEW.region:
         return np.asarray(cv2.resize(found, (COMMON.width, COMMON.height)), np.float32)
     if found.shape != (_HR[1], _HR[0]):
         found = np.asarray(cv2.resize(found, _HR), np.float32)

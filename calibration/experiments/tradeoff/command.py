@@ -2,7 +2,7 @@
 
 import datetime
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +12,15 @@ from calibration.experiments.tradeoff.accuracy import measure_accuracy
 from calibration.experiments.tradeoff.figure import say_cost, svg
 from calibration.experiments.tradeoff.fitting import content_sha256, detector_of, trunk_of
 from calibration.experiments.tradeoff.front import Row, pick, read_limits, table
-from calibration.experiments.tradeoff.plan import Run, RunSettings
+from calibration.experiments.tradeoff.plan import Run, TradeoffArguments
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint
-from calibration.experiments.tradeoff.presses import on_common_grid, see
+from calibration.experiments.tradeoff.presses import on_common_grid
 from calibration.experiments.tradeoff.run import read_or_measure
 from calibration.fitting.command import refuse_existing, summarise, write
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.folders import write_atomically
 from calibration.progress import Stages, progress
-from edge.cli.arguments import add_argument, add_option, flatten
+from edge.cli.arguments import flatten
 from edge.core.errors import ConfigError
 from edge.extras import needs
 from edge.model.archive import MANIFEST
@@ -28,42 +28,6 @@ from edge.model.bundle_writer import manifest_bytes
 from edge.model.scorer import Scorer
 
 __all__ = ["bundle_of", "tradeoff"]
-
-
-@dataclass(frozen=True)
-class TradeoffArguments:
-    """What the command line says."""
-
-    dataset: Path = add_argument(..., "the folder of presses, good ones and defective ones with masks")
-    output: Path = add_option(
-        Path("tradeoff"), "the folder for rows.jsonl and tradeoff.svg", "--output", "-o"
-    )
-    part: str | None = add_option(None, "the part; optional for a dataset of one part")
-    position: str | None = add_option(None, "the position; optional for one position")
-    method: list[str] | None = add_option(None, "a detector, again for more; by default every installed one")
-    backbone: list[str] | None = add_option(
-        None, "an installed backbone or a trunk .onnx file, the first varied in every axis, again for more"
-    )
-    within: str | None = add_option(
-        None, "choose a point: most time from the settled frame to the verdict, such as 20ms"
-    )
-    under: str | None = add_option(None, "choose a point: largest bank, such as 8MB")
-    presses: int | None = add_option(None, "choose a point: most nominal presses", min=1)
-    point: str | None = add_option(None, "make only the bundle of the point of this name")
-    bundle: Path | None = add_option(
-        None, "where the chosen bundle is written, a folder or a name ending in .zip"
-    )
-    rounds: int = add_option(25, "rounds of timing", min=7)
-    minutes: float = add_option(12.0, "after this many no new round of timing begins", min=0)
-    bootstrap: int = add_option(200, "bootstrap replicates per accuracy interval", min=20)
-    seed: int = add_option(0, "fixes every random choice", min=0)
-    threads: int = add_option(2, "threads of the runtime", min=1, max=64)
-    overwrite: bool = add_option(False, "measure again although the folder has rows; replace the bundle")
-
-    def settings(self) -> RunSettings:
-        """Return what the run depends on."""
-        named = {name: getattr(self, name) for name in ("seed", "threads", "rounds", "minutes")}
-        return RunSettings(self.dataset, self.part, self.position, replicates=self.bootstrap, **named)
 
 
 @flatten
@@ -77,21 +41,18 @@ def tradeoff(given: TradeoffArguments) -> None:
     needs("studies", "tradeoff")
     limits = read_limits(given.within, given.under, given.presses)
     _require_sense(given, bool(limits))
-    run = Run.of(given.settings(), given.method or (), given.backbone or ())
+    run = Run.of(given)
     if given.point is not None:
-        _write_bundle(given.point, run, given.bundle or Path(given.point), given.overwrite)
+        _write_bundle(given.point, run, given.bundle or Path(given.point))
         return
-    rows = read_or_measure(run, given.output, given.overwrite, progress, typer.echo)
+    rows = read_or_measure(run, progress, typer.echo)
     picture = given.output / "tradeoff.svg"
     write_atomically(picture, svg(rows))
     typer.echo(f"{table(rows)}\n{say_cost(rows)}\n{len(rows)} points; the picture is {picture}")
     if limits:
-        picked = pick(rows, limits)
-        if picked.row is None:
-            raise ConfigError(picked.reasons[0])
-        typer.echo("\n".join(picked.reasons))
-        bundle = given.bundle or given.output / "bundle"
-        _write_bundle(picked.row["key"], run, bundle, given.overwrite, picked.row)
+        row, reasons = pick(rows, limits)
+        typer.echo("\n".join(reasons))
+        _write_bundle(row["key"], run, given.bundle or given.output / "bundle", row)
 
 
 def _require_sense(given: TradeoffArguments, has_limits: bool) -> None:
@@ -104,10 +65,10 @@ def _require_sense(given: TradeoffArguments, has_limits: bool) -> None:
         raise ConfigError(f"--output {given.output} is a file; name a folder")
 
 
-def _write_bundle(key: str, run: Run, bundle: Path, overwrite: bool, row: Row | None = None) -> None:
+def _write_bundle(key: str, run: Run, bundle: Path, row: Row | None = None) -> None:
     """Fit the point and write its bundle; says so where its bank differs from the measured one, `row`."""
     point = run.point(key)
-    refuse_existing(bundle, overwrite)
+    refuse_existing(bundle, run.given.overwrite)
     with Stages() as report:
         fitted = bundle_of(point, run, row=row, report=report)
     made = fitted.manifest.facts["tradeoff"]["content_sha256"]
@@ -117,7 +78,7 @@ def _write_bundle(key: str, run: Run, bundle: Path, overwrite: bool, row: Row | 
             "own, the times are the measured point's",
             err=True,
         )
-    write(fitted, bundle, overwrite)
+    write(fitted, bundle, run.given.overwrite)
     summarise(fitted, bundle)
     typer.echo(f"trunk, head and bank: {made}")
 
@@ -139,45 +100,35 @@ def bundle_of(
 
     row: the measured point, whose times and fingerprint go into the manifest as its cost card. Errors: FitError.
     """
-    view, chosen, settings = VIEWS[point.view], run.chosen, run.settings
-    seen = see(chosen, view)
-    detector, _ = detector_of(point)
+    view, chosen, threads = VIEWS[point.view], run.chosen, run.given.threads
     config = FitConfig(
-        part=chosen.part,
-        position=chosen.position,
+        part=chosen.every.part,
+        position=chosen.every.position,
         profile=view.profile,
         region=view.region,
-        detector=detector,
+        detector=detector_of(point)[0],
         trunk=trunk_of(point),
         mode=point.mode,
         overrides=point.overrides,
-        seed=settings.seed,
-        threads=settings.threads,
+        seed=run.given.seed,
+        threads=threads,
         is_scattered=True,
         limit="plain",  # as the point was measured
     )
-    presses = seen.nominal.first(point.presses)
+    presses = chosen.read_nominal(view).first(point.presses)
     fitted = fit_files(presses, config, created=datetime.date.today().isoformat(), report=report)
-    scorer = Scorer(fitted.bundle(), settings.threads)
-    scored = [scorer.score(frame) for frame in seen.frames]
-    maps = [on_common_grid(one.score_map) for one in scored]
-    accuracy = measure_accuracy(maps, np.array([one.anomaly_score for one in scored]), run.truth)
-    return add_cards(fitted, accuracy, point, row)
-
-
-def add_cards(
-    fitted: Fitted, accuracy: dict[str, dict[str, float | None]], point: OperatingPoint, row: Row | None
-) -> Fitted:
-    """The bundle with the accuracy card, and, from a measured row, the cost card; its scores are the same."""
-    values = {
-        f"{name}_{part}" if part != "value" else name: value
-        for name, one in accuracy.items()
+    scorer = Scorer(fitted.bundle(), threads)
+    scored = [scorer.score(frame) for frame in chosen.read(chosen.scored, view)]
+    maps, scores = [on_common_grid(one.score_map) for one in scored], [one.anomaly_score for one in scored]
+    accuracy = {
+        name if part == "value" else f"{name}_{part}": value
+        for name, one in measure_accuracy(maps, np.array(scores), run.truth).items()
         for part, value in one.items()
         if value is not None
     }
-    cost = {} if row is None else {name: row[name] for name in _COST}
-    card = {"point": point.key, "content_sha256": content_sha256(fitted.manifest)} | cost
+    card = {"point": point.key, "content_sha256": content_sha256(fitted.manifest)}
+    card |= {} if row is None else {name: row[name] for name in _COST}
     manifest = fitted.manifest.model_copy(
-        update={"accuracy": values, "facts": {**fitted.manifest.facts, "tradeoff": card}}
+        update={"accuracy": accuracy, "facts": {**fitted.manifest.facts, "tradeoff": card}}
     )
     return replace(fitted, manifest=manifest, files={**fitted.files, MANIFEST: manifest_bytes(manifest)})

@@ -11,7 +11,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from calibration.experiments.tradeoff.front import FIRST, Row, list_front, read_rows, verdict_ms
+from calibration.experiments.tradeoff.front import (
+    Row,
+    list_front,
+    only_known,
+    read_rows,
+    value_of,
+    verdict_ms,
+)
 from calibration.experiments.tradeoff.machine import busy
 from calibration.fitting.trunks import DEFAULT_BACKBONE
 
@@ -93,7 +100,7 @@ def figure(rows: Sequence[Row], medians: Mapping[str, float] | None = None) -> "
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    drawn = [row for row in rows if row["accuracy"][FIRST]["value"] is not None]
+    drawn = only_known(rows)
     front = list_front(drawn)
     below = BELOW_IN + (LATER_IN if medians else 0)
     height = below + PLOT_IN + LABEL_IN * len(front) + 0.48
@@ -101,7 +108,7 @@ def figure(rows: Sequence[Row], medians: Mapping[str, float] | None = None) -> "
     FigureCanvasAgg(made)
     for axes in _panels(made, drawn, height, below):
         _floor(axes, drawn)
-        steps = [(verdict_ms(row), _value(row)) for row in front]
+        steps = [(verdict_ms(row), value_of(row)) for row in front]
         axes.step(
             *zip(*steps, (1e9, steps[-1][1]), strict=True), where="post", color=INK, linewidth=1, zorder=2
         )
@@ -131,12 +138,12 @@ def say_cost(rows: Sequence[Row]) -> str:
     front = list_front(rows)
     if not front:
         return "No point has an accuracy."
-    parts = [f"AU-PRO {_value(front[0]):.3f} takes {verdict_ms(front[0]):.0f} ms ({name_point(front[0])})"]
+    parts = [f"AU-PRO {value_of(front[0]):.3f} takes {verdict_ms(front[0]):.0f} ms ({name_point(front[0])})"]
     for before, row in pairwise(front):
-        more, ms = _value(row) - _value(before), verdict_ms(row) - verdict_ms(before)
+        more, ms = value_of(row) - value_of(before), verdict_ms(row) - verdict_ms(before)
         parts.append(f"{more:.3f} more takes {ms:.0f} ms more ({name_point(row)})")
     if peer := _best_peer(rows):
-        parts.append(f"{name_point(peer)} has {_value(peer):.3f} in {verdict_ms(peer):.0f} ms")
+        parts.append(f"{name_point(peer)} has {value_of(peer):.3f} in {verdict_ms(peer):.0f} ms")
     return f"From the settled frame to the verdict, {'; '.join(parts)}."
 
 
@@ -153,20 +160,15 @@ def name_point(row: Row) -> str:
     return ", ".join(words + views)
 
 
-def _value(row: Row) -> float:
-    return float(row["accuracy"][FIRST]["value"])
-
-
 def _best_peer(rows: Sequence[Row]) -> Row | None:
-    peers = [row for row in rows if row.get("peer") and row["accuracy"][FIRST]["value"] is not None]
-    return max(peers, key=_value, default=None)
+    return max((row for row in only_known(rows) if row.get("peer")), key=value_of, default=None)
 
 
 def _panels(made: "Figure", rows: Sequence[Row], height: float, below: float) -> list["Axes"]:
     """A linear panel of the fast points and, where there are slower ones, a logarithmic one beside it."""
     from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
-    times, values = [verdict_ms(row) for row in rows], [_value(row) for row in rows]
+    times, values = [verdict_ms(row) for row in rows], [value_of(row) for row in rows]
     limit, room = NEAR * min(times), 0.04 * max(max(values) - min(values), 0.02)
     is_split = max(times) > limit
     bottom, tall = below / height, PLOT_IN / height
@@ -201,9 +203,9 @@ def _panels(made: "Figure", rows: Sequence[Row], height: float, below: float) ->
 
 def _floor(axes: "Axes", rows: Sequence[Row]) -> None:
     """Shade what is faster than the bare trunk of the points that are as accurate."""
-    ours = sorted((row for row in rows if not row.get("peer")), key=_value)
+    ours = sorted((row for row in rows if not row.get("peer")), key=value_of)
     bottom, top = axes.get_ylim()
-    levels = [bottom, *map(_value, ours)]
+    levels = [bottom, *map(value_of, ours)]
     own = [float(row["stages"]["trunk"]["median"]) for row in ours]
     trunks = [min(own[k:]) for k in range(len(own))]
     axes.fill_betweenx(levels, [*trunks, trunks[-1]], color=FLOOR, step="post", zorder=0, linewidth=0)
@@ -223,7 +225,7 @@ def _mark(axes: "Axes", row: Row, is_on_front: bool) -> None:
     shape, colour = PEER if row.get("peer") else MARKS.get(row["method"], OTHER)
     axes.scatter(
         verdict_ms(row),
-        _value(row),
+        value_of(row),
         s=52 if is_on_front else 22,
         marker=shape,
         facecolors="white" if row["work"]["int8"] > 0 else colour,
@@ -241,8 +243,8 @@ def _name(axes: "Axes", row: Row, up_in: float) -> None:
         return
     is_late = low > 0 and ms**2 > low * high
     axes.annotate(
-        f"{name_point(row)}\n{_value(row):.3f} in {ms:.0f} ms",
-        (ms, _value(row)),
+        f"{name_point(row)}\n{value_of(row):.3f} in {ms:.0f} ms",
+        (ms, value_of(row)),
         xytext=(ms, 72 * up_in + 4),
         textcoords=("data", "axes points"),
         ha="right" if is_late else "left",
@@ -258,9 +260,9 @@ def _name_best_peer(axes: "Axes", rows: Sequence[Row]) -> None:
     peer, (low, high) = _best_peer(rows), axes.get_xlim()
     if peer is None or not low < verdict_ms(peer) <= high:
         return
-    text = f"{name_point(peer)}\n{_value(peer):.3f} in {verdict_ms(peer):.0f} ms"
+    text = f"{name_point(peer)}\n{value_of(peer):.3f} in {verdict_ms(peer):.0f} ms"
     axes.annotate(
-        text, (verdict_ms(peer), _value(peer)), xytext=(0, -6), textcoords="offset points", fontsize=8, color=INK,
+        text, (verdict_ms(peer), value_of(peer)), xytext=(0, -6), textcoords="offset points", fontsize=8, color=INK,
         ha="center", va="top",
     )  # fmt: skip
 

@@ -1,20 +1,23 @@
-"""The points of one view and one backbone: features once, then a bank, score maps and a bundle for each point."""
+"""The points of one view and one backbone: features once, then for each point a bundle and what it finds."""
 
 import hashlib
-import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.experiments.harness.pictures import tile
+from calibration.experiments.harness.rows import ROW_FORMAT
 from calibration.experiments.harness.scoring import run_head
-from calibration.experiments.tradeoff.floor import Work, work_of
-from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint, View
-from calibration.experiments.tradeoff.presses import Chosen, Seen
+from calibration.experiments.tradeoff.accuracy import measure_accuracy
+from calibration.experiments.tradeoff.floor import work_of
+from calibration.experiments.tradeoff.front import Row
+from calibration.experiments.tradeoff.plan import Run
+from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint
+from calibration.experiments.tradeoff.presses import on_common_grid
 from calibration.fitting.bundle_measurements import placeholders, provenance
 from calibration.fitting.limits.held_out import Learner, TapReader
 from calibration.fitting.presses.nominal_presses import NominalPresses
@@ -22,47 +25,18 @@ from calibration.fitting.trunks import Trunk, open_trunk
 from edge import registry
 from edge.core.detector import Bank, Detector, Features, Nominal
 from edge.core.errors import FitError, NotScorable
+from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 from edge.core.imaging.smoothing import smooth
 from edge.core.imaging.tiles import tiling
 from edge.model.bundle import Bundle, Graphs
-from edge.model.bundle_writer import bundle_files
+from edge.model.bundle_writer import bundle_files, write_bundle
 from edge.model.manifest import Facts, GridEntry, Manifest
 from edge.model.session import open_session
 
-__all__ = ["FittedPoint", "content_sha256", "fit_points", "trunk_of"]
+__all__ = ["content_sha256", "detector_of", "fit_points", "trunk_of"]
 
-TILE = 224
+TILE: Final = 224
 """Side of a tile in pixels, the input side of the seed paper's backbone."""
-
-
-@dataclass(frozen=True)
-class FittedPoint:
-    """A point with its bundle and what it gives on the scored presses.
-
-    features_s, bank_s: seconds for the trunk over the fitted presses, and for the bank.
-    """
-
-    point: OperatingPoint
-    trunk: Trunk
-    manifest: Manifest
-    files: Mapping[str, bytes]
-    """The files of a bundle without its trunk and without golden frames."""
-    maps: NDArray[np.float32]
-    """float32 (n, h, w) of the region."""
-    scores: NDArray[np.float64]
-    """float64 (n,)."""
-    features_s: float
-    bank_s: float
-    work: Work
-
-
-def trunk_of(point: OperatingPoint) -> Trunk:
-    """The trunk of a point, cut after the deepest tap that the method reads, and tiled where the view is.
-
-    Errors: ConfigError, FitError.
-    """
-    detector, parameters = detector_of(point)
-    return _tile(open_trunk(point.backbone, detector.taps(parameters)), VIEWS[point.view])
 
 
 def detector_of(point: OperatingPoint) -> tuple[Detector, Any]:
@@ -71,30 +45,32 @@ def detector_of(point: OperatingPoint) -> tuple[Detector, Any]:
     return detector, detector.parameters(point.mode, **point.overrides)
 
 
-def _tile(trunk: Trunk, view: View) -> Trunk:
+def trunk_of(*points: OperatingPoint) -> Trunk:
+    """The trunk of points of one view and backbone, cut after the deepest tap that they read, tiled where the view is.
+
+    Errors: ConfigError, FitError.
+    """
+    view, trunk = VIEWS[points[0].view], open_trunk(points[0].backbone, _taps(points))
     if view.overlap is None:
         return trunk
     return tile(trunk, tiling((view.region.height, view.region.width), TILE, view.overlap))
 
 
-def fit_points(
-    points: Sequence[OperatingPoint],
-    chosen: Chosen,
-    seen: Seen,
-    *,
-    threads: int,
-    seed: int,
-) -> Iterator[FittedPoint]:
-    """Fit and score points of one view and one backbone, which share their features.
+def _taps(points: Sequence[OperatingPoint]) -> list[str]:
+    return sorted({tap for detector, values in map(detector_of, points) for tap in detector.taps(values)})
 
-    Errors: FitError, with the point.
+
+def fit_points(points: Sequence[OperatingPoint], run: Run, folder: Path) -> Iterator[Row]:
+    """Fit and score points of one view and one backbone, which share their features; write their bundles.
+
+    Gives of each point the columns that do not depend on the machine's speed, and the seconds of the fit. Errors:
+    FitError, with the point.
     """
-    view, nominal = VIEWS[points[0].view], seen.nominal.first(max(point.presses for point in points))
-    taps = sorted({tap for point in points for tap in detector_of(point)[0].taps(detector_of(point)[1])})
-    trunk = _tile(open_trunk(points[0].backbone, taps), view)
+    view, trunk, threads = VIEWS[points[0].view], trunk_of(*points), run.given.threads
+    nominal = run.chosen.read_nominal(view).first(max(point.presses for point in points))
     frame = view.region.height, view.region.width
-    reader = TapReader(trunk.graph, taps, frame, view.profile.pixels_per_mm, threads)
-    frames = np.concatenate([nominal.frames, seen.frames])
+    reader = TapReader(trunk.graph, _taps(points), frame, view.profile.pixels_per_mm, threads)
+    frames = np.concatenate([nominal.frames, run.chosen.read(run.chosen.scored, view)])
     start = time.perf_counter()
     taken = {
         is_smoothed: reader.take(np.stack([smooth(rgb) for rgb in frames]) if is_smoothed else frames)
@@ -102,11 +78,13 @@ def fit_points(
     }
     seconds = (time.perf_counter() - start) / len(frames) / len(taken)
     for point in points:
-        learner = reader.learner(*detector_of(point), seed)
+        learner, features = reader.learner(*detector_of(point), run.given.seed), taken[_is_smoothed(point)]
         try:
-            yield _fit(point, chosen, nominal, learner, taken[_is_smoothed(point)], seconds)
+            row = _fit(point, run, nominal, learner, features, folder)
         except (FitError, NotScorable) as error:
             raise FitError(f"operating point {point.key}: {error}") from error
+        row["fit_s"]["features"] = seconds * point.presses
+        yield row
 
 
 def _is_smoothed(point: OperatingPoint) -> bool:
@@ -116,12 +94,12 @@ def _is_smoothed(point: OperatingPoint) -> bool:
 
 def _fit(
     point: OperatingPoint,
-    chosen: Chosen,
+    run: Run,
     nominal: NominalPresses,
     learner: Learner,
     features: Features,
-    seconds: float,
-) -> FittedPoint:
+    folder: Path,
+) -> Row:
     """Fit one point. nominal: the presses of the largest fit. features: of these, then of the scored presses."""
     taps = list(learner.grid.taps)
     start = time.perf_counter()
@@ -129,34 +107,52 @@ def _fit(
     head = learner.head(bank)
     bank_s = time.perf_counter() - start
     trunk = trunk_of(point)
-    facts = _facts(point, chosen, nominal, learner, bank, trunk)
-    graphs = Graphs(trunk=trunk.graph, head=head)
-    manifest, files = bundle_files(facts, graphs, bank, backbone=trunk.id, with_trunk=False)
+    facts = _facts(point, run, nominal, learner, bank, trunk)
+    manifest, files = bundle_files(
+        facts, Graphs(trunk=trunk.graph, head=head), bank, backbone=trunk.id, with_trunk=False
+    )
     loaded = Bundle.in_memory(manifest, files, loaded=(trunk.sha256,))
     maps = {tap: [one[None] for one in features[tap][len(nominal) :]] for tap in taps}
-    session = open_session(loaded.graphs.head or b"", learner.threads, f"head of {point.method}")
+    session = open_session(head, learner.threads, f"head of {point.method}")
     scored = run_head(session, loaded.bank, maps, point.method)
-    features_s, work = seconds * point.presses, work_of(trunk.graph, loaded)
-    return FittedPoint(point, trunk, manifest, files, scored.maps, scored.scores, features_s, bank_s, work)
+    shared = folder / "trunks" / f"{trunk.sha256}.onnx"  # once for all points that share it
+    if not shared.is_file():
+        shared.parent.mkdir(parents=True, exist_ok=True)
+        shared.write_bytes(trunk.graph)
+    write_bundle(folder / point.key, files, overwrite=True)
+    return {
+        "format": ROW_FORMAT,
+        "key": point.key,
+        "method": point.method,
+        "mode": point.mode,
+        "backbone": point.backbone,
+        "view": point.view,
+        "settings": point.overrides,
+        "presses": point.presses,
+        "gel_share": point.presses / DEFAULT_LIMIT_PRESSES,
+        "accuracy": measure_accuracy([on_common_grid(one) for one in scored.maps], scored.scores, run.truth),
+        "bank_bytes": sum(entry.bytes_stored for entry in manifest.bank.values()),
+        "bank_bytes_unpacked": sum(entry.bytes_unpacked for entry in manifest.bank.values()),
+        "trunk_bytes": len(trunk.graph),
+        "trunk_sha256": trunk.sha256,
+        "content_sha256": content_sha256(manifest),
+        "fit_s": {"features": 0.0, "bank": bank_s},
+        "work": asdict(work_of(trunk.graph, loaded)),
+    }
 
 
 def _facts(
-    point: OperatingPoint,
-    chosen: Chosen,
-    nominal: NominalPresses,
-    learner: Learner,
-    bank: Bank,
-    trunk: Trunk,
+    point: OperatingPoint, run: Run, nominal: NominalPresses, learner: Learner, bank: Bank, trunk: Trunk
 ) -> Facts:
     """The manifest's facts; with the placeholder threshold every press fails: this bundle is only measured."""
     threshold, tolerance = placeholders()
     view = VIEWS[point.view]
     return Facts(
-        part=chosen.part,
-        position=chosen.position,
+        part=run.chosen.every.part,
+        position=run.chosen.every.position,
         method=point.method,
         mode=point.mode,
-        parameters=json.loads(json.dumps(vars(learner.parameters))),
+        parameters=dict(vars(learner.parameters)),
         repairs=tuple(bank.facts.get("repairs", ())),
         facts={"backbone": trunk.facts},
         profile=view.profile,

@@ -1,10 +1,8 @@
 """The Pareto front of accuracy and of the time that the line waits for, and the best point within limits, from rows."""
 
 import json
-import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,13 +15,14 @@ __all__ = [
     "FIRST",
     "WAITED",
     "Limits",
-    "Pick",
     "Row",
     "list_front",
+    "only_known",
     "pick",
     "read_limits",
     "read_rows",
     "table",
+    "value_of",
     "verdict_ms",
     "write_rows",
 ]
@@ -71,14 +70,22 @@ def verdict_ms(row: Row) -> float:
     return sum(float(row["stages"][name]["median"]) for name in WAITED)
 
 
+def only_known(rows: Iterable[Row]) -> list[Row]:
+    """Leave out the points whose accuracy is undefined."""
+    return [row for row in rows if row["accuracy"][FIRST]["value"] is not None]
+
+
+def value_of(row: Row) -> float:
+    """Return the accuracy of a point."""
+    return float(row["accuracy"][FIRST]["value"])
+
+
 def list_front(rows: Sequence[Row]) -> list[Row]:
     """Return the points that no other one dominates, the fastest first; never one without accuracy.
 
     A point is dominated by one that is as accurate and faster, or more accurate and at most `MARGIN` slower.
     """
-    points = [
-        (row, round(value, DIGITS)) for row in rows if (value := row["accuracy"][FIRST]["value"]) is not None
-    ]
+    points = [(row, round(value_of(row), DIGITS)) for row in only_known(rows)]
     front = [
         row
         for row, value in points
@@ -149,58 +156,47 @@ def _excess(row: Row, limits: Limits) -> dict[str, float]:
     return {name: times for name, times in found.items() if times > 1}
 
 
-@dataclass(frozen=True)
-class Pick:
-    """row: the chosen point, None where nothing fits. reasons: sentences that explain it."""
+def pick(rows: Sequence[Row], limits: Limits) -> tuple[Row, list[str]]:
+    """The most accurate point within the limits (AU-PRO), the faster one among equals, and sentences that explain it.
 
-    row: Row | None
-    reasons: tuple[str, ...]
-
-
-def pick(rows: Sequence[Row], limits: Limits) -> Pick:
-    """The most accurate point within the limits (AU-PRO), the faster one among equals, and why.
-
-    Peers have no bundle and are not chosen.
+    Peers have no bundle and are not chosen. Errors: ConfigError where nothing fits.
     """
-    own = [row for row in rows if not row.get("peer") and _value(row) > -math.inf]
+    own = [row for row in only_known(rows) if not row.get("peer")]
+    if not own:
+        raise ConfigError("no point has a defined AU-PRO: there is nothing to choose from")
     fitting = [row for row in own if not _excess(row, limits)]
     if not fitting:
-        return Pick(None, tuple(_nothing(own, limits)))
+        nearest = min(own, key=lambda row: (max(_excess(row, limits).values()), -value_of(row)))
+        raise ConfigError(
+            f"none of {len(own)} points is within these limits; the nearest is {nearest['key']} with AU-PRO "
+            f"{value_of(nearest):.3f}: {_too_much(nearest, limits)}; widen a limit"
+        )
     best = _best(fitting)
-    return Pick(best, tuple(_why(own, fitting, best, limits)))
-
-
-def _value(row: Row) -> float:
-    value = row["accuracy"]["aupro_fpr01"]["value"]
-    return -math.inf if value is None else float(value)
+    return best, list(_why(own, fitting, best, limits))
 
 
 def _best(rows: Sequence[Row]) -> Row:
-    return max(rows, key=lambda row: (_value(row), -verdict_ms(row)))
+    return max(rows, key=lambda row: (value_of(row), -verdict_ms(row)))
 
 
 def _why(own: Sequence[Row], fitting: Sequence[Row], best: Row, limits: Limits) -> Iterator[str]:
-    accuracy = best["accuracy"]["aupro_fpr01"]
+    accuracy = best["accuracy"][FIRST]
     interval = "" if accuracy["low"] is None else f" ({accuracy['low']:.3f} to {accuracy['high']:.3f})"
     yield (
-        f"{best['key']}: AU-PRO {accuracy['value']:.3f}{interval}, {verdict_ms(best):.3g} ms to the verdict, bank "
+        f"{best['key']}: AU-PRO {value_of(best):.3f}{interval}, {verdict_ms(best):.3g} ms to the verdict, bank "
         f"{best['bank_bytes'] / 1e6:.3g} MB, {best['presses']} presses"
     )
     yield f"{len(fitting)} of {len(own)} points fit; this one is the most accurate of them"
-    yield from _explain_refused(own, best, limits)
-    binding = list(_binding(own, best, limits))
-    yield from binding or ["no limit binds: without any of them the choice is the same"]
+    better = [row for row in own if _excess(row, limits) and value_of(row) > value_of(best)]
+    for row in sorted(better, key=lambda row: max(_excess(row, limits).values()))[:2]:
+        yield f"nearer to perfect, but not within: {row['key']}, AU-PRO {value_of(row):.3f}, {_too_much(row, limits)}"
+    yield from list(_binding(own, best, limits)) or [
+        "no limit binds: without any of them the choice is the same"
+    ]
     others = [row for row in fitting if row is not best]
     if others:
         second = _best(others)
-        yield f"the next that fits: {second['key']}, AU-PRO {_value(second):.3f}, {verdict_ms(second):.3g} ms"
-
-
-def _explain_refused(own: Sequence[Row], best: Row, limits: Limits) -> Iterator[str]:
-    """The more accurate points that are nearest to fitting."""
-    better = [row for row in own if _excess(row, limits) and _value(row) > _value(best)]
-    for row in sorted(better, key=lambda row: max(_excess(row, limits).values()))[:2]:
-        yield f"nearer to perfect, but not within: {row['key']}, AU-PRO {_value(row):.3f}, {_too_much(row, limits)}"
+        yield f"the next that fits: {second['key']}, AU-PRO {value_of(second):.3f}, {verdict_ms(second):.3g} ms"
 
 
 def _binding(own: Sequence[Row], best: Row, limits: Limits) -> Iterator[str]:
@@ -210,20 +206,9 @@ def _binding(own: Sequence[Row], best: Row, limits: Limits) -> Iterator[str]:
         freed = _best([row for row in own if not _excess(row, others)])
         if freed is not best:
             yield (
-                f"the limit on {name} binds: without it {freed['key']} with AU-PRO {_value(freed):.3f} would be chosen "
-                f"({_too_much(freed, limits)})"
+                f"the limit on {name} binds: without it {freed['key']} with AU-PRO {value_of(freed):.3f} would be "
+                f"chosen ({_too_much(freed, limits)})"
             )
-
-
-def _nothing(own: Sequence[Row], limits: Limits) -> Iterator[str]:
-    if not own:
-        yield "no point has a defined AU-PRO: there is nothing to choose from"
-        return
-    nearest = min(own, key=lambda row: (max(_excess(row, limits).values()), -_value(row)))
-    yield (
-        f"none of {len(own)} points is within these limits; the nearest is {nearest['key']} with AU-PRO "
-        f"{_value(nearest):.3f}: {_too_much(nearest, limits)}; widen a limit"
-    )
 
 
 def _too_much(row: Row, limits: Limits) -> str:

@@ -18,19 +18,20 @@ from calibration.experiments.harness.pictures import LR_VIEW
 from calibration.experiments.harness.study import require_known
 from calibration.experiments.tradeoff.accuracy import Truth
 from calibration.experiments.tradeoff.point import OperatingPoint, Setting
-from calibration.experiments.tradeoff.presses import Chosen, choose_presses
+from calibration.experiments.tradeoff.presses import MOST, Chosen, choose_presses
 from calibration.fitting.trunks import DEFAULT_BACKBONE
 from calibration.metrics import specimen_weights
 from edge import registry
+from edge.cli.arguments import add_argument, add_option
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
 
-__all__ = ["BACKBONES", "LEAST_ROUNDS", "PRESSES", "Run", "RunSettings", "choose_points", "usual_points"]
+__all__ = ["BACKBONES", "LEAST_ROUNDS", "Run", "TradeoffArguments", "choose_points", "usual_points"]
 
 BACKBONES: Final = (DEFAULT_BACKBONE, "tactile_resnet18", "tactile_resnet18_int8")
 """The trunks of a run without others: those that ship, the one that `gelgate fit` uses first."""
 
-PRESSES: Final = (5, 10, 20, 40)
+PRESSES: Final = (5, 10, 20, MOST)
 """Nominal presses of a fit; the third is the usual number."""
 
 USUAL: Final = PRESSES[2]
@@ -97,61 +98,57 @@ def choose_points(
 LEAST_ROUNDS: Final = 7
 """Below this the interval of a median over rounds is as wide as the samples."""
 
-MOST_SCORED: Final = 40
-"""Good and defective presses that are scored, each."""
-
 
 @dataclass(frozen=True)
-class RunSettings:
-    """What a run depends on."""
+class TradeoffArguments:
+    """What the command line says."""
 
-    dataset: Path
-    part: str | None = None
-    position: str | None = None
-    seed: int = 0
-    threads: int = 2
-    rounds: int = 25
-    replicates: int = 200
-    most_fitted: int = 40
-    """Presses that the largest fit takes."""
-    most_scored: int = MOST_SCORED
-    minutes: float = 15.0
-    """The time after which no new round of timing begins."""
-
-    def __post_init__(self) -> None:
-        if self.rounds < LEAST_ROUNDS:
-            raise ConfigError(f"times need at least {LEAST_ROUNDS} rounds, found {self.rounds}")
+    dataset: Path = add_argument(..., "the folder of presses, good ones and defective ones with masks")
+    output: Path = add_option(
+        Path("tradeoff"), "the folder for rows.jsonl and tradeoff.svg", "--output", "-o"
+    )
+    part: str | None = add_option(None, "the part; optional for a dataset of one part")
+    position: str | None = add_option(None, "the position; optional for one position")
+    method: list[str] | None = add_option(None, "a detector, again for more; by default every installed one")
+    backbone: list[str] | None = add_option(
+        None, "an installed backbone or a trunk .onnx file, the first varied in every axis, again for more"
+    )
+    within: str | None = add_option(
+        None, "choose a point: most time from the settled frame to the verdict, such as 20ms"
+    )
+    under: str | None = add_option(None, "choose a point: largest bank, such as 8MB")
+    presses: int | None = add_option(None, "choose a point: most nominal presses", min=1)
+    point: str | None = add_option(None, "make only the bundle of the point of this name")
+    bundle: Path | None = add_option(
+        None, "where the chosen bundle is written, a folder or a name ending in .zip"
+    )
+    rounds: int = add_option(25, "rounds of timing", min=LEAST_ROUNDS)
+    minutes: float = add_option(12.0, "after this many no new round of timing begins", min=0)
+    bootstrap: int = add_option(200, "bootstrap replicates per accuracy interval", min=20)
+    seed: int = add_option(0, "fixes every random choice", min=0)
+    threads: int = add_option(2, "threads of the runtime", min=1, max=64)
+    overwrite: bool = add_option(False, "measure again although the folder has rows; replace the bundle")
 
 
 @dataclass(frozen=True)
 class Run:
     """Points that are measured on presses."""
 
-    settings: RunSettings
+    given: TradeoffArguments
     chosen: Chosen
     points: tuple[OperatingPoint, ...]
 
     @classmethod
-    def of(cls, settings: RunSettings, methods: Sequence[str] = (), backbones: Sequence[str] = ()) -> "Run":
-        """Return the run of every point that the presses allow; no method or backbone: all of them.
-
-        Errors: DatasetError, ConfigError.
-        """
-        chosen = choose_presses(
-            settings.dataset,
-            settings.part,
-            settings.position,
-            most_fitted=settings.most_fitted,
-            most_scored=settings.most_scored,
-            seed=settings.seed,
-        )
+    def of(cls, given: TradeoffArguments) -> "Run":
+        """Return the run of every point that the presses allow. Errors: DatasetError, ConfigError."""
+        chosen = choose_presses(given.dataset, given.part, given.position, given.seed)
         points = choose_points(
-            tuple(backbones) or BACKBONES,
-            tuple(methods) or registry.names("detectors"),
+            tuple(given.backbone or BACKBONES),
+            tuple(given.method or registry.names("detectors")),
             has_high_resolution=bool(chosen.high),
             most_presses=len(chosen.fitted),
         )
-        return cls(settings, chosen, points)
+        return cls(given, chosen, points)
 
     def point(self, key: str) -> OperatingPoint:
         """Return the point of a key. Errors: ConfigError with the nearest known key."""
@@ -163,8 +160,9 @@ class Run:
     @cached_property
     def truth(self) -> Truth:
         """Labels and masks of the scored presses, and how replicates draw them."""
-        label, rng = self.chosen.label, np.random.default_rng(self.settings.seed)
-        drawn = specimen_weights(self.chosen.specimens, label, self.settings.replicates, rng)
+        label, rng = self.chosen.label, np.random.default_rng(self.given.seed)
+        pieces = [str(press.specimen) for press in self.chosen.scored]
+        drawn = specimen_weights(pieces, label, self.given.bootstrap, rng)
         return Truth(
             label,
             [LR_VIEW.mask(press) for press in self.chosen.scored],

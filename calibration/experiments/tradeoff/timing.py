@@ -10,36 +10,26 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from calibration.experiments.tradeoff.front import WAITED
-from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint, View
+from calibration.dataset import LabelledPress
+from calibration.experiments.tradeoff.front import WAITED, Row
+from calibration.experiments.tradeoff.point import VIEWS, View
 from calibration.simulator.camera import CAMERA_QUALITY, encode_jpeg
 from edge.core.arrays import F64, U8
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 from edge.model.session import TrunkSessions
 
-__all__ = ["Lane", "Samples", "Score", "bundle_lanes", "camera_frames", "measure_rounds"]
+__all__ = ["Lane", "bundle_lanes", "camera_frames", "measure_rounds", "stage_times"]
 
-
-@dataclass(frozen=True)
-class Samples:
-    """Milliseconds."""
-
-    stages: F64
-    """float64 (stages, rounds, points)."""
-    groups: NDArray[np.int64]
-    """Per stage an id for each point, int64 (stages, points); points with equal ids did the same work."""
-
-
-Score = Callable[[U8], tuple[float, float]]
-"""Scores a region, uint8 (h, w, 3); returns the milliseconds of trunk and head."""
+Shared = tuple[object, ...]
 
 
 @dataclass(frozen=True)
@@ -48,8 +38,9 @@ class Lane:
 
     view: View
     frames: Sequence[CameraFrame]
-    score: Score
-    shared: tuple[object, object, object]
+    score: Callable[[U8], tuple[float, float]]
+    """Scores a region, uint8 (h, w, 3); returns the milliseconds of trunk and head."""
+    shared: Shared
     """A key of each stage; lanes with equal keys do the same work in it."""
 
     def press(self, number: int) -> tuple[float, float, float]:
@@ -62,18 +53,15 @@ class Lane:
 
 
 def bundle_lanes(
-    points: Sequence[OperatingPoint],
-    bundles: Sequence[Path],
-    trunks_sha256: Sequence[str],
-    frames: Mapping[str, Sequence[CameraFrame]],
-    threads: int,
+    rows: Sequence[Row], folder: Path, frames: Mapping[tuple[int, int], Sequence[CameraFrame]], threads: int
 ) -> list[Lane]:
-    """Return a lane for each point with its bundle. frames: camera frames by the name of the profile."""
+    """Return a lane for each row with the bundle of its name. frames: camera frames by the size of the profile."""
     trunks, lanes = TrunkSessions(threads), []
-    for point, folder, sha256 in zip(points, bundles, trunks_sha256, strict=True):
-        view, bundle = VIEWS[point.view], Bundle.load(folder, loaded=trunks)
-        name, score = view.profile_name, partial(_score, Scorer(bundle, threads, trunks))
-        lanes.append(Lane(view, frames[name], score, (name, (sha256, view.name), point.key)))
+    for row in rows:
+        view, bundle = VIEWS[row["view"]], Bundle.load(folder / row["key"], loaded=trunks)
+        score = partial(_score, Scorer(bundle, threads, trunks))
+        size = view.profile.size
+        lanes.append(Lane(view, frames[size], score, (size, (row["trunk_sha256"], row["view"]), row["key"])))
     return lanes
 
 
@@ -84,55 +72,53 @@ def _score(scorer: Scorer, rgb: U8) -> tuple[float, float]:
 
 
 def measure_rounds(
-    lanes: Sequence[Lane],
-    *,
-    rounds: int,
-    least: int,
-    seed: int,
-    until: float,
-    advance: Callable[[int], None],
-) -> Samples:
-    """Time every lane in every round. advance: called with the rounds done.
+    lanes: Sequence[Lane], *, rounds: int, least: int, seed: int, until: float, advance: Callable[[int], None]
+) -> F64:
+    """Time every lane in every round, float64 (rounds, lanes, stages). advance: called with the rounds done.
 
     until: no round begins after this reading of the performance counter, once there are `least` of them.
     """
-    stages = np.empty((len(WAITED), rounds, len(lanes)))
+    ms = np.empty((rounds, len(lanes), len(WAITED)))
     rng = np.random.default_rng(seed)
     for lane in lanes:
         lane.press(0)  # buffers and caches
-    done = 0
     for number in range(rounds):
         if number >= least and time.perf_counter() > until:
-            break
+            return ms[:number]
         for k in rng.permutation(len(lanes)):
-            stages[:, number, k] = lanes[k].press(number)
-        done = number + 1
-        advance(done)
-    return Samples(stages[:, :done], _groups(lanes))
+            ms[number, k] = lanes[k].press(number)
+        advance(number + 1)
+    return ms
 
 
-def _groups(lanes: Sequence[Lane]) -> NDArray[np.int64]:
-    """Per stage an id for each lane; equal ids share the work."""
-    by_stage = zip(*(lane.shared for lane in lanes), strict=True)
-    return np.array([[list(dict.fromkeys(keys)).index(key) for key in keys] for keys in by_stage], np.int64)
+def stage_times(ms: F64, shared: Sequence[Shared]) -> list[dict[str, Any]]:
+    """Return the columns with the times of every lane. ms: as `measure_rounds` gives it. shared: of the lanes.
 
-
-def camera_frames(view: View, pictures: U8) -> list[CameraFrame]:
-    """Frames as the sensor would send them: the region's pixels (n, h, w, 3) put back into the camera's size.
-
-    What lies outside the region is the region's mean colour, so a frame is slightly smaller than a real one.
+    Medians are pooled over lanes that share a stage, so a percentile is the median and how far above their median the
+    lane's own rounds reach.
     """
-    return [
-        CameraFrame(encode_jpeg(_in_camera(view, picture), CAMERA_QUALITY), 0, number)
-        for number, picture in enumerate(pictures)
-    ]
+    tails = np.percentile(ms, 95, axis=0) - np.median(ms, axis=0)
+    found = []
+    for own, tail in zip(shared, tails, strict=True):
+        alike = [[k for k, keys in enumerate(shared) if keys[stage] == key] for stage, key in enumerate(own)]
+        medians = [float(np.median(ms[:, lanes, stage])) for stage, lanes in enumerate(alike)]
+        stages = zip(WAITED, medians, tail.tolist(), strict=True)
+        found.append(
+            {
+                "stages": {name: {"median": median, "p95": median + more} for name, median, more in stages},
+                "rounds": len(ms),
+            }
+        )
+    return found
 
 
-def _in_camera(view: View, rgb: U8) -> U8:
-    (width, height), region = view.profile.size, view.region
-    picture = np.full((height, width, 3), rgb.mean(axis=(0, 1)).astype(np.uint8), np.uint8)
-    picture[region.y : region.y + region.height, region.x : region.x + region.width] = rgb
-    (width, height), (x, y) = view.profile.native, view.profile.border
+def camera_frames(profile: SensorProfile, presses: Sequence[LabelledPress]) -> list[CameraFrame]:
+    """Frames as the sensor would send them: pictures of presses, put back into the camera's size."""
+    (width, height), (x, y) = profile.native, profile.border
     left, top = int(width * x), int(height * y)
-    inner = cv2.resize(picture, (width - 2 * left, height - 2 * top), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(cv2.copyMakeBorder(inner, top, top, left, left, cv2.BORDER_REPLICATE), np.uint8)
+    frames = []
+    for number, press in enumerate(presses):
+        inner = cv2.resize(press.rgb(), (width - 2 * left, height - 2 * top))
+        whole = cv2.copyMakeBorder(inner, top, top, left, left, cv2.BORDER_REPLICATE)
+        frames.append(CameraFrame(encode_jpeg(np.asarray(whole, np.uint8), CAMERA_QUALITY), 0, number))
+    return frames

@@ -14,7 +14,7 @@ from tradeoff_rows import row
 from calibration.experiments.tradeoff.bench_command import read_medians
 from calibration.experiments.tradeoff.figure import say_cost, svg
 from calibration.experiments.tradeoff.front import read_rows, write_rows
-from calibration.experiments.tradeoff.plan import Run, RunSettings
+from calibration.experiments.tradeoff.plan import Run, TradeoffArguments
 from edge.core.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -30,7 +30,7 @@ def tradeoff_of(*words: object) -> tuple[int, str]:
 @pytest.fixture
 def finished(dataset: Path, tmp_path: Path) -> Path:
     """A folder that looks like that of a finished run on the dataset with PaDiM alone."""
-    run = Run.of(RunSettings(dataset), ("padim",), ("tactile_resnet18",))
+    run = Run.of(TradeoffArguments(dataset, method=["padim"], backbone=["tactile_resnet18"]))
     rows = [
         row(point.key, 0.6 + 0.01 * k, 15.0 + k, presses=point.presses, dataset_sha256=run.chosen.sha256())
         for k, point in enumerate(run.points)
@@ -59,7 +59,7 @@ def test_what_may_be_a_mistake_in_the_dataset_is_said(
     mask = min((home / "fault/mask_320x240").iterdir())
     cv2.imwrite(str(mask), np.zeros((240, 320), np.uint8))
     shutil.copy(home / "rgb_320x240/PZ9_pos1_s001_p01.png", home / "rgb_320x240/PZ9_pos1_s001_p02.png")
-    presses = Run.of(RunSettings(copy)).chosen.sha256()
+    presses = Run.of(TradeoffArguments(copy)).chosen.sha256()
     write_rows(
         finished / "rows.jsonl",
         [found | {"dataset_sha256": presses} for found in read_rows(finished / "rows.jsonl")],

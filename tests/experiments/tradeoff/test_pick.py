@@ -14,9 +14,8 @@ ROWS = [
 ]
 
 
-def chosen(limits: Limits) -> str | None:
-    found = pick(ROWS, limits).row
-    return None if found is None else str(found["key"])
+def chosen(limits: Limits) -> str:
+    return str(pick(ROWS, limits)[0]["key"])
 
 
 def test_the_most_accurate_point_within_the_limits_is_chosen() -> None:
@@ -28,12 +27,12 @@ def test_the_most_accurate_point_within_the_limits_is_chosen() -> None:
 
 def test_the_faster_of_two_equals_is_chosen() -> None:
     """Equal accuracy: the verdict that comes first."""
-    assert pick([row("a.t", 0.7, ms=9), row("b.t", 0.7, ms=8)], {"presses": 20}).row["key"] == "b.t"
+    assert pick([row("a.t", 0.7, ms=9), row("b.t", 0.7, ms=8)], {"presses": 20})[0]["key"] == "b.t"
 
 
 def test_the_reasons_name_what_binds_and_what_was_nearer() -> None:
     """The limit on presses binds, the one on time does not, and the missed point is named with its excess."""
-    reasons = "\n".join(pick(ROWS, {"time": 30, "presses": 20}).reasons)
+    reasons = "\n".join(pick(ROWS, {"time": 30, "presses": 20})[1])
     assert "3 of 4 points fit" in reasons
     assert "the limit on presses binds: without it inreach.t.lr.40 with AU-PRO 0.850" in reasons
     assert "40 presses where 20 presses is allowed" in reasons
@@ -43,18 +42,20 @@ def test_the_reasons_name_what_binds_and_what_was_nearer() -> None:
 
 def test_nothing_that_fits_is_one_sentence_with_the_nearest() -> None:
     """The nearest is the one with the smallest excess over any limit."""
-    found = pick(ROWS, {"time": 18, "presses": 4})
-    assert found.row is None
-    (sentence,) = found.reasons
-    assert sentence.startswith("none of 4 points is within these limits; the nearest is fapm.t.lr.5")
-    assert "19 ms where 18 ms is allowed, 5 presses where 4 presses is allowed" in sentence
+    sentence = (
+        "^none of 4 points is within these limits; the nearest is fapm.t.lr.5 with AU-PRO 0.600: 19 ms where 18 ms is "
+        "allowed, 5 presses where 4 presses is allowed; widen a limit$"
+    )
+    with pytest.raises(ConfigError, match=sentence):
+        pick(ROWS, {"time": 18, "presses": 4})
 
 
 def test_a_peer_and_an_undefined_accuracy_are_never_chosen() -> None:
     """A peer has no bundle; a point without accuracy has no reason."""
     rows = [row("peer", 0.99) | {"peer": "anomalib"}, row("none.t", None), row("own.t", 0.5)]
-    assert pick(rows, {"presses": 99}).row["key"] == "own.t"
-    assert "nothing to choose" in pick(rows[:2], {"presses": 99}).reasons[0]
+    assert pick(rows, {"presses": 99})[0]["key"] == "own.t"
+    with pytest.raises(ConfigError, match="nothing to choose"):
+        pick(rows[:2], {"presses": 99})
 
 
 @pytest.mark.parametrize("text", ["20", "ms", "0ms", "-3ms", "20 MB", "1e3ms"])

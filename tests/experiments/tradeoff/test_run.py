@@ -1,6 +1,7 @@
 """A complete run on a small dataset: rows, resuming, the bundle of a point, and what is refused."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from tradeoff_dataset import make_dataset
 
 from calibration.experiments.tradeoff.command import bundle_of
 from calibration.experiments.tradeoff.front import WAITED, read_rows, write_rows
-from calibration.experiments.tradeoff.plan import Run, RunSettings, choose_points, usual_points
+from calibration.experiments.tradeoff.plan import Run, TradeoffArguments, choose_points, usual_points
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint
 from calibration.experiments.tradeoff.presses import choose_presses, on_common_grid
 from calibration.experiments.tradeoff.run import measure, require_same_run
@@ -24,12 +25,8 @@ POINTS = (
 )
 
 
-def settings(dataset: Path) -> RunSettings:
-    return RunSettings(dataset, rounds=7, replicates=20, most_fitted=6)
-
-
 def run_of(dataset: Path, points: tuple[OperatingPoint, ...] = POINTS, **changed: Any) -> Run:
-    return replace(Run.of(replace(settings(dataset), **changed)), points=points)
+    return replace(Run.of(TradeoffArguments(dataset, rounds=7, bootstrap=20, **changed)), points=points)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +70,9 @@ def test_a_run_goes_on_where_it_was_interrupted(
 
 def test_another_run_s_folder_is_refused(measured: tuple[Path, list[dict[str, Any]]], dataset: Path) -> None:
     """Points of two seeds would be mixed."""
-    with pytest.raises(ConfigError, match="holds an unfinished run with other presses or another seed"):
+    with pytest.raises(
+        ConfigError, match="holds another unfinished run: other dataset, seed 0, not 1; remove it, or"
+    ):
         measure(run_of(dataset, seed=1), measured[0], progress)
 
 
@@ -161,14 +160,14 @@ def test_presses_showing_nothing_are_refused(tmp_path: Path, changes: dict[str, 
     """Before any work, in one sentence."""
     root = make_dataset(tmp_path / "bad", **changes)
     with pytest.raises(DatasetError, match=sentence):
-        choose_presses(root, None, None, most_fitted=5, most_scored=5, seed=0)
+        choose_presses(root, None, None, seed=0)
 
 
 def test_one_class_alone_is_refused(tmp_path: Path) -> None:
     """Only defective presses: nothing to fit."""
     root = make_dataset(tmp_path / "bad", pieces=0)
     with pytest.raises(DatasetError, match=r"has no nominal press of PZ9/pos1; add pictures of sound parts"):
-        choose_presses(root, None, None, most_fitted=5, most_scored=5, seed=0)
+        choose_presses(root, None, None, seed=0)
 
 
 def test_a_full_disk_keeps_the_finished_points(
@@ -180,6 +179,7 @@ def test_a_full_disk_keeps_the_finished_points(
         pytest.skip("SKIPPED, NOT TESTED: this system has no /dev/full")
     folder = tmp_path / "run"
     folder.mkdir()
+    shutil.copy(measured[0] / "run.json", folder)
     (folder / "points.jsonl").symlink_to(full)
     with pytest.raises(GelgateError, match=r"the disk is full: the 0 rows so far are kept"):
         measure(run_of(dataset, POINTS[:1]), folder, progress)

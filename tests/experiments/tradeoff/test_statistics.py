@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 
 from calibration.experiments.tradeoff.front import WAITED
-from calibration.experiments.tradeoff.run import stage_times
-from calibration.experiments.tradeoff.timing import Samples
+from calibration.experiments.tradeoff.timing import stage_times
 
 STAGE_MS = np.array([[8.0, 8.0], [3.0, 6.0], [1.0, 2.0]])
 """decode, trunk and head of two points."""
 
-APART = np.array([[0, 0], [0, 1], [0, 1]])
+APART = [("lr", "a", "p"), ("lr", "b", "q")]
+SHARED = [("lr", "a", "p"), ("lr", "a", "q")]
 
 
-def medians(groups: np.ndarray, extra: np.ndarray, what: str = "median") -> list[list[float]]:
+def medians(shared: list[tuple[str, ...]], extra: np.ndarray, what: str = "median") -> list[list[float]]:
     """Each stage of both points, (stages, points), with something added to each round, (stages, rounds, points)."""
-    times = stage_times(Samples(STAGE_MS[:, None, :] + extra, groups))
+    times = stage_times((STAGE_MS[:, None, :] + extra).transpose(1, 2, 0), shared)
     return [[one["stages"][name][what] for one in times] for name in WAITED]
 
 
@@ -23,10 +23,8 @@ def test_the_same_work_has_one_time() -> None:
     """Two points that share a trunk get one trunk time, from the samples of both."""
     extra = np.zeros((3, 9, 2))
     extra[1, :, 0] = 4.0  # the first point's trunk took 7 ms, the second's 6
-    shared = APART.copy()
-    shared[1] = 0
     assert medians(APART, extra) == [[8, 8], [7, 6], [1, 2]]
-    assert medians(shared, extra)[1] == pytest.approx([6.5, 6.5])
+    assert medians(SHARED, extra)[1] == pytest.approx([6.5, 6.5])
 
 
 def test_the_p95_is_not_below_the_median() -> None:
