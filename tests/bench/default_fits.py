@@ -30,7 +30,6 @@ from mechanisms import COMPLETE, Variant, fit_with, gains_tables, list_variants,
 from numpy.typing import NDArray
 from real_touch import OBJECTS, SENSORS, Object, Presses, ball, touch_trial
 
-from calibration.experiments.backbones.evaluation import is_on_damage
 from calibration.experiments.backbones.sets import (
     PROFILE,
     REGION,
@@ -58,6 +57,9 @@ from edge.model.scorer import Scorer
 from edge.pictures.press_picture import PressCaption, draw_press
 
 GELS = ("right", "none", "another light")
+
+PEAK_PX = 6
+"""How far from the damage a map's peak may lie: one and a half cells of the finest tap."""
 """Which picture of the free gel a fit from pictures is given."""
 
 # Of simulated presses that lie anywhere: those learnt and held out, how far off they lie, and how a hand presses.
@@ -181,6 +183,12 @@ class Scores:
     is_peak: NDArray[np.bool_]
 
 
+def is_on_damage(one: NDArray[np.float32], mask: NDArray[np.bool_]) -> bool:
+    """Tell whether the largest value of a map lies on its mask or near it; False for an empty mask."""
+    away = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return bool(away[np.unravel_index(one.argmax(), one.shape)] <= PEAK_PX)
+
+
 def score_presses(fitted: Fitted, frames: NDArray[np.uint8], masks: NDArray[np.bool_]) -> Scores:
     """Score presses as a gateway does. frames: uint8 (n, h, w, 3). masks: (n, h, w), the damage."""
     scorer, maps, scores = Scorer(fitted.bundle()), np.zeros(masks.shape, np.float32), np.zeros(len(masks))
@@ -194,7 +202,8 @@ def score_presses(fitted: Fitted, frames: NDArray[np.uint8], masks: NDArray[np.b
         maps[k], scores[k] = scored.score_map, scored.anomaly_score
     scores[is_lost] = 2 * scores.max()
     fails = ~is_lost & (scores > fitted.manifest.threshold.value)
-    is_peak = masks.any(axis=(1, 2)) & ~is_lost & is_on_damage(maps, masks)
+    is_near = np.array(list(map(is_on_damage, maps, masks)), np.bool_)
+    is_peak = masks.any(axis=(1, 2)) & ~is_lost & is_near
     return Scores(maps, scores, is_lost, fails, is_peak)
 
 
@@ -362,7 +371,7 @@ def _fit_and_measure(
         fitted = fit_with(name_parts(variant), presses, given.method, given.backbone)
     except (FitError, ConfigError) as error:
         return {"error": str(error)}
-    frames, masks = trial.frames[trial.is_own], trial.masks[trial.is_own]
+    frames, masks = trial.frames, trial.masks
     seen = score_presses(fitted, frames, masks)
     if given.pictures:
         name = "_".join((kind, given.method, given.backbone, given.gel, *variant)).replace(" ", "_")

@@ -16,14 +16,12 @@ import touch_edits
 from touch_edits import Edited
 
 from calibration.experiments.backbones.sets import PROFILE, REGION, EvaluationSet, Trial
-from calibration.fitting.damage.conditions import relight
 from calibration.fitting.presses.nominal_presses import MAX_NO_CONTACT, NominalPresses, gather_presses
 from edge.core.arrays import F32, U8, Mask
 from edge.core.errors import DatasetError
 from edge.core.imaging.region import Region
 
 __all__ = [
-    "ALPHA",
     "EDITS",
     "MIN_HELD",
     "OBJECTS",
@@ -54,21 +52,20 @@ On the second, a ball that lies anywhere on a DIGIT, no trunk and no setting was
 choice. No marker gel is there."""
 
 MIN_HELD = 4
-"""With fewer held-out presses their false alarms say nothing."""
+"""With fewer held-out presses their scores say nothing."""
 # The film of a marker gel: frames of the free gel, then one long press, cut into blocks of ten. Every other block is
 # learnt, and the middle of the others is held out, so that learnt and held-out frames are 0.16 s apart or more.
 _FREE_FRAMES, _BLOCK = 20, 10
-_LEARNT_FRAMES, _OTHER_FRAMES = range(92, 152), range(172, 202, 2)
+_LEARNT_FRAMES = range(92, 152)
 
 
 @dataclass(frozen=True, eq=False)
 class Presses:
-    """Presses of one object in complete pictures, uint8 (240, 320, 3) each, and of another object if there is one."""
+    """Presses of one object in complete pictures, uint8 (240, 320, 3) each."""
 
     learnt: Mapping[str, U8]
     held: Mapping[str, U8]
     free: U8
-    others: Sequence[U8] = ()
     has_dots: bool = False
 
 
@@ -87,9 +84,9 @@ class Object:
     """Presses left out, seen by eye in the pictures."""
 
 
-def ball(name: str, sensor: str, paths: tuple[str, str, str], other: str = "", *marred: str) -> list[Object]:
+def ball(name: str, sensor: str, paths: tuple[str, str, str], *marred: str) -> list[Object]:
     """Return the same presses of a ball registered, and anywhere in complete pictures. paths: folder, pattern of the
-    presses, and the free gel. other: the folder of another ball by the same sensor."""
+    presses, and the free gel."""
     folder, pattern, free = paths
 
     def read(data: Path) -> Presses:
@@ -99,7 +96,6 @@ def ball(name: str, sensor: str, paths: tuple[str, str, str], other: str = "", *
             {name: rgb for name, rgb in pictures.items() if name not in held},
             {name: pictures[name] for name in held},
             _landscape(data / sensor / folder / free),
-            list(_numbered(data / sensor / other, pattern, free).values()) if other else [],
         )
 
     return [
@@ -136,15 +132,15 @@ def _landscape(path: Path) -> U8:
 
 
 def _film(data: Path) -> Presses:
-    """A finger on a marker gel: blocks of one press learnt and held out; the edge of the finger is another object."""
+    """A finger on a marker gel: blocks of one press learnt and held out."""
     path, frames = data / "gelsightinc__gsrobotics" / "mini_example.avi", list[U8]()
     film = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     while (read := film.read())[0]:
         frames.append(np.asarray(cv2.cvtColor(read[1], cv2.COLOR_BGR2RGB), np.uint8))
     film.release()
-    if len(frames) <= max(_OTHER_FRAMES):
+    if len(frames) < _LEARNT_FRAMES.stop:
         raise DatasetError(
-            f"'{path}' gives {len(frames)} frames, expected more than {max(_OTHER_FRAMES)}; fetch it again"
+            f"'{path}' gives {len(frames)} frames, expected {_LEARNT_FRAMES.stop} or more; fetch it again"
         )
     place = [(number, *divmod(number - _LEARNT_FRAMES.start, _BLOCK)) for number in _LEARNT_FRAMES]
     held = [n for n, block, at in place if block % 2 and _BLOCK // 3 <= at <= 2 * _BLOCK // 3]
@@ -152,7 +148,6 @@ def _film(data: Path) -> Presses:
         {f"{number}": frames[number] for number, block, _ in place if block % 2 == 0},
         {f"{number}": frames[number] for number in held},
         np.asarray(np.rint(np.mean(frames[:_FREE_FRAMES], axis=0)), np.uint8),
-        [frames[number] for number in _OTHER_FRAMES],
         has_dots=True,
     )
 
@@ -162,8 +157,8 @@ _FOLDERS = "*/gelsight.png", "../background.png"
 # A cut of the gel opens where it is pressed and does not show on the free gel. In registered presses it lies in these
 # alone, at the left of 31 and 42 and in the contact of 8. On a fixture it would be in each press or in none.
 OBJECTS = (
-    *ball("ball 6.31 mm", "rpl-cmu__gelslam", ("6.310mm", *_FOLDERS), "9.500mm", "31", "42"),
-    *ball("ball 9.47 mm", "skleff1994__gs_sdk", ("9.470mm", *_FOLDERS), "", "8"),
+    *ball("ball 6.31 mm", "rpl-cmu__gelslam", ("6.310mm", *_FOLDERS), "31", "42"),
+    *ball("ball 9.47 mm", "skleff1994__gs_sdk", ("9.470mm", *_FOLDERS), "8"),
     Object("finger on a marker gel", "gelsightinc__gsrobotics", _film),
     *ball("ball 5.00 mm", "FabPrez__Taxim", ("gsmini_ball5.0", "frame_*.jpg", "frame_0.jpg")),
     # Not registered: the ball is larger than a registered cut, and its light on the gel moves the contact's centre.
@@ -174,7 +169,6 @@ OBJECTS = (
 )
 """Every object of both sets."""
 
-ALPHA = 0.05
 EDITS = 48
 """Edited presses of each trial; with fewer, differences of detection between backbones are chance."""
 _SEED = 0
@@ -229,30 +223,23 @@ _TEXT = (
     "Real presses with small edits, for no damaged part is public. A third of an object's presses is held out; edits "
     "of those are pieces of real relief of 10 to 20 pixels, shrunk, feathered, raised or sunk, and on the marker gel "
     "dots that are missing or added. Presses are anywhere in the picture, registered (cut around the contact), or of a "
-    "film of one finger, whose frames are not independent. detected and false_alarms are shares at the limit that a "
-    "fit sets for 5 % false alarms; peak_found is the share of edits whose highest value lies within 6 pixels of the "
-    "damage, whatever the limit. relit_alarms: held-out presses under another light, computed, not photographed: each "
-    "colour brighter or darker by up to 15 %, and by up to 8 % more at each edge. others: another object pressed by "
-    "the same sensor. Registered presses in which a cut of the gel opens, as seen by eye, are left out."
+    "film of one finger, whose frames are not independent. Registered presses in which a cut of the gel opens, as seen "
+    "by eye, are left out."
 )
 
 
 def real_touch_trial(data: Path, name: str, edits: int = EDITS) -> Trial:
-    """Learnt presses, held-out ones, small edits of those, other objects, and the held-out ones under another light.
-    data: the folder of real tactile frames. Errors: DatasetError when the frames are not in it, or fewer than four
-    held-out presses are in the region."""
+    """Learnt presses, held-out ones, and small edits of those. data: the folder of real tactile frames. Errors:
+    DatasetError when the frames are not in it, or fewer than four held-out presses are in the region."""
     return touch_trial(data, next(found for found in OBJECTS if found.name == name), edits)
 
 
 def touch_trial(data: Path, chosen: Object, edits: int = EDITS) -> Trial:
     """Make the trial of an object, which need not be one of a set. Arguments and errors as `real_touch_trial`."""
     name, presses = chosen.name, chosen.read(data)
-    learnt, held, others = (
-        _cuts(pictures, presses.free, chosen.is_registered)
-        for pictures in (
-            *([of[key] for key in of if key not in chosen.marred] for of in (presses.learnt, presses.held)),
-            presses.others,
-        )
+    learnt, held = (
+        _cuts([of[key] for key in of if key not in chosen.marred], presses.free, chosen.is_registered)
+        for of in (presses.learnt, presses.held)
     )
     if len(held) < MIN_HELD or len(learnt) < MIN_HELD:
         raise DatasetError(
@@ -261,21 +248,10 @@ def touch_trial(data: Path, chosen: Object, edits: int = EDITS) -> Trial:
         )
     rng = np.random.default_rng([_SEED, *name.encode()])
     damaged = _edits(held, edits, presses, rng)
-    relighted = [cut.region.crop(relight(cut.rgb, rng)) for cut in held]
-    sound = [cut.frame for cut in held]
-    frames = [*sound, *(edit.rgb for edit in damaged), *(cut.frame for cut in others), *relighted]
+    frames = [*(cut.frame for cut in held), *(edit.rgb for edit in damaged)]
     masks = np.zeros((len(frames), *frames[0].shape[:2]), np.bool_)
-    masks[len(held) : len(held) + edits] = [edit.mask for edit in damaged]
-    kind = np.repeat([0, 1, 2], [len(held) + edits, len(others), len(relighted)])
-    return Trial(
-        name,
-        _nominal(learnt, presses.free, chosen.is_registered),
-        np.stack(frames),
-        masks,
-        is_other=kind == 1,
-        is_relit=kind == 2,
-        alpha=ALPHA,
-    )
+    masks[len(held) :] = [edit.mask for edit in damaged]
+    return Trial(name, _nominal(learnt, presses.free, chosen.is_registered), np.stack(frames), masks)
 
 
 def _nominal(learnt: Sequence[_Cut], free: U8, is_registered: bool) -> NominalPresses:

@@ -53,11 +53,7 @@ REGION = Region.centre(PROFILE.size)
 
 @dataclass(frozen=True)
 class Trial:
-    """The presses that a detector learns, and those that it scores.
-
-    is_other, is_relit: bool (n,), None for no such frames: presses of another object by the same sensor, and sound
-    presses under another light.
-    """
+    """The presses that a detector learns, and those that it scores."""
 
     name: str
     nominal: NominalPresses
@@ -65,16 +61,6 @@ class Trial:
     """uint8 (n, h, w, 3)."""
     masks: NDArray[np.bool_]
     """bool (n, h, w), all False for an undamaged press."""
-    is_other: NDArray[np.bool_] | None = None
-    is_relit: NDArray[np.bool_] | None = None
-    alpha: float | None = None
-    """The false-alarm rate of the fitted limit; None where no limit is fitted and no measure at it is given."""
-
-    @property
-    def is_own(self) -> NDArray[np.bool_]:
-        """The sound and the damaged presses of the learnt object under its light, bool (n,)."""
-        apart = [kind for kind in (self.is_other, self.is_relit) if kind is not None]
-        return np.asarray(~np.logical_or.reduce([np.zeros(len(self.frames), np.bool_), *apart]), np.bool_)
 
 
 PARTS = tuple(analogues.PARTS)

@@ -1,7 +1,6 @@
 """The evaluation: learnt presses are not scored, simple cases have known numbers, and errors are one sentence."""
 
 import json
-from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
@@ -49,26 +48,6 @@ def test_a_black_square_is_found() -> None:
     assert 0.8 < pixel["over_images"][0] <= pixel["value"] <= pixel["over_images"][1] <= 1
     each = [row["trials"][name]["pixel_auroc"] for name in ("a", "b")]
     assert np.isclose(np.mean(each), pixel["value"], atol=1e-4)
-
-
-def test_a_measure_that_a_trial_lacks_is_the_mean_of_the_others() -> None:
-    """One of two trials has presses of another object: their share above the limit is that trial's, in either order."""
-    plain = EvaluationSet("Squares", "Black squares.", (partial(with_others, "a", 0), partial(trial, "b", 1)))
-    for trials in (plain.trials, plain.trials[::-1]):
-        found = evaluate(
-            {"random": random_trunk()}, {"squares": replace(plain, trials=trials)}, ("padim",), replicates=0
-        )
-        (row,) = found["sets"]["squares"]["rows"]
-        assert row["measures"]["others_auroc"]["value"] == row["trials"]["a"]["others_auroc"] == 1.0
-        assert "others_auroc" not in row["trials"]["b"]
-
-
-def with_others(name: str, seed: int) -> Trial:
-    """The last two presses are black: of another object."""
-    found = trial(name, seed)
-    frames, masks = found.frames.copy(), found.masks.copy()
-    frames[6:], masks[6:] = 0, False
-    return replace(found, frames=frames, masks=masks, is_other=np.arange(8) >= 6, alpha=0.5)
 
 
 def test_trials_spread_over_processes_measure_the_same() -> None:
