@@ -14,7 +14,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -248,12 +248,9 @@ def _subscriber(local: "LocalBroker", heatmaps: Path) -> Iterator[tuple[dict[str
             complete.add(press)
 
     broker = Broker(local.host, local.port, "gelgate-demo-subscriber", level=_level(local))
-    connection = Connection.open(broker, on_received=arrived)
-    try:
+    with closing(Connection.open(broker, on_received=arrived)) as connection:
         connection.subscribe(f"{ROOT}/#")
         yield results, complete
-    finally:
-        connection.close()
 
 
 def _await(is_done: Callable[[], bool]) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.folders import write_atomically
 from calibration.quantise import quantise_graph
 from calibration.training.train_config import STAGES
 from edge.core.errors import GelgateError
@@ -68,13 +69,9 @@ def package(run: Path, out: Path) -> dict[str, Any]:
         "last_entry": json.loads(lines[-1]) if lines else {},
         "variants": {name: _facts(graph, plain) for name, graph in variants.items()},
     }
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for name, graph in variants.items():
-            (out / f"{name}.onnx").write_bytes(graph)
-        (out / f"{NAME}.json").write_text(json.dumps(facts, indent=2) + "\n")
-    except OSError as error:
-        raise GelgateError(f"the backbone cannot be written to '{out}': {error.strerror}") from error
+    for name, graph in variants.items():
+        write_atomically(out / f"{name}.onnx", graph)
+    write_atomically(out / f"{NAME}.json", (json.dumps(facts, indent=2) + "\n").encode())
     return facts
 
 

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from calibration.experiments.detectability.pod import Pod, fit_pod
 from calibration.experiments.detectability.study import Place, Plan, Row
+from calibration.fitting.command import write
 from calibration.fitting.damage.damage import KINDS
-from edge.core.errors import StoreError
+from calibration.fitting.fit import Fitted
 from edge.model.archive import MANIFEST, open_archive
-from edge.model.bundle import MAX_MANIFEST_BYTES, parse_manifest, read_verified
-from edge.model.bundle_writer import manifest_bytes, write_bundle
+from edge.model.bundle import Bundle
+from edge.model.bundle_writer import manifest_bytes
 from edge.model.detectability import CARD, DetectabilityCard, KindCard
 from edge.model.signature import SIGNATURE
 
@@ -92,16 +93,9 @@ def write_card(path: Path, card: DetectabilityCard) -> bool:
 
     A signature no longer holds and is removed: True where there was one. Errors: BundleError, StoreError.
     """
-    archive = open_archive(path)
-    manifest = parse_manifest(archive.read(MANIFEST, MAX_MANIFEST_BYTES), archive.where)
-    files = {entry.file: read_verified(archive, entry) for entry in manifest.files}
-    facts = {**manifest.facts, CARD: card.model_dump(mode="json")}
-    files[MANIFEST] = manifest_bytes(manifest.model_copy(update={"facts": facts}))
+    archive, old = open_archive(path), Bundle.load(path).manifest
+    manifest = old.model_copy(update={"facts": {**old.facts, CARD: card.model_dump(mode="json")}})
+    files = {entry.file: archive.read(entry.file) for entry in old.files}
     was_signed = archive.has(SIGNATURE)
-    try:
-        write_bundle(path, files, overwrite=True)
-    except OSError as error:
-        raise StoreError(
-            f"{path} cannot be written: {error.strerror or error}; free some space, or make it writable"
-        ) from error
+    write(Fitted(manifest, {**files, MANIFEST: manifest_bytes(manifest)}), path, overwrite=True)
     return was_signed

@@ -18,7 +18,8 @@ from calibration.experiments.studies import (
     recommend,
     resolution_study,
 )
-from edge.core.errors import ConfigError, StoreError
+from calibration.folders import make_folder, write_atomically
+from edge.core.errors import ConfigError
 from edge.extras import needs
 
 if TYPE_CHECKING:
@@ -51,8 +52,7 @@ def write_report(rows: Path, output: Path, say: Callable[[str], None] = lambda s
     """Write the page of every study that has rows, a comparison with the paper, the recommendations, and the time.
 
     Figures are next to the pages. rows: a file, or the folder of one. say: called with a sentence about a line that was
-    dropped. Errors: ConfigError for a file without rows,
-    StoreError for a full disk.
+    dropped. Errors: ConfigError for a file without rows, GelgateError where the disk refuses.
     """
     import pandas as pd
 
@@ -62,6 +62,7 @@ def write_report(rows: Path, output: Path, say: Callable[[str], None] = lambda s
         raise ConfigError(
             f"'{rows}' has rows of {', '.join(sorted(set(every['study'])))}, which have no page here"
         )
+    make_folder(output)
     written = [
         _write(output, name, PAGES[name](every[every["study"] == name].dropna(axis=1, how="all")))
         for name in known
@@ -75,13 +76,7 @@ def write_report(rows: Path, output: Path, say: Callable[[str], None] = lambda s
 
 def _write(output: Path, name: str, page: Page) -> Path:
     target = output / f"{name}.md"
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-        for file, draw in page.figures.items():
-            (output / file).write_text(svg(draw()), encoding="utf-8")
-        target.write_text(page.text, encoding="utf-8")
-    except OSError as error:
-        raise StoreError(
-            f"the report cannot be written to '{output}': {error.strerror}; choose another folder"
-        ) from error
+    for file, draw in page.figures.items():
+        write_atomically(output / file, svg(draw()).encode())
+    write_atomically(target, page.text.encode())
     return target

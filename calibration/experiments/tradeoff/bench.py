@@ -21,7 +21,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from calibration.experiments.tradeoff.floor import Work, floor_ms, trunk_work, work_of
+from calibration.experiments.tradeoff.floor import Work, floor_ms, see_at_once, trunk_work, work_of
 from calibration.experiments.tradeoff.gateway_process import (
     Bare,
     Package,
@@ -53,7 +53,7 @@ from edge.press_stage import Mounted, PressStage
 from edge.recording.format import Recording, RecordingWriter
 from edge.store.gel_ledger import GelRecord
 
-__all__ = ["STAGES", "BenchSettings", "Measured", "bench"]
+__all__ = ["STAGES", "Measured", "bench"]
 
 STAGES: Final[Mapping[str, str]] = {
     "look": "a look at a frame: decoded small, contact found",
@@ -95,17 +95,6 @@ options = {{ host = "{broker.host}", port = {broker.port} }}
 
 
 @dataclass(frozen=True)
-class BenchSettings:
-    """What is measured. presses: with their stages. idle_s: of the gateways in processes of their own."""
-
-    bundle: Path
-    recording: Path
-    presses: int
-    idle_s: float
-    threads: int
-
-
-@dataclass(frozen=True)
 class Measured:
     """What a run gives."""
 
@@ -134,25 +123,31 @@ class Measured:
     """What gelgate needs."""
 
 
-def bench(settings: BenchSettings, folder: Path) -> Measured:
+def bench(judge: Path, recorded: Path, presses: int, idle_s: float, threads: int, folder: Path) -> Measured:
     """Measure a bundle on a recording; the folder, on the disk of the station's database, gets its files.
 
-    Errors: RecordingError without presses or free frames; BundleError; SinkUnavailable without a broker.
+    presses: with their stages. idle_s: of the gateways in processes of their own. Errors: RecordingError without
+    presses or free frames; BundleError; SinkUnavailable without a broker.
     """
-    bundle, recording = Bundle.load(settings.bundle), Recording.open(settings.recording)
+    bundle, recording = Bundle.load(judge), Recording.open(recorded)
     if bundle.grid is None or bundle.graphs.trunk is None:
-        raise ConfigError(f"'{settings.bundle}' is one graph; the floors need a bundle of a trunk and a head")
-    machine, before = fingerprint(settings.threads), probe(settings.threads, REPEATS)
+        raise ConfigError(f"'{judge}' is one graph; the floors need a bundle of a trunk and a head")
+    machine, before, fps = fingerprint(threads), probe(threads, REPEATS), recording.header.nominal_fps
     with LocalBroker() as broker:
+
+        def configure(name: str, played: Path) -> Path:
+            path = folder / name / "gelgate.toml"
+            path.parent.mkdir()
+            paths = {"recording": played.resolve(), "bundle": judge.resolve()}
+            path.write_text(CONFIG.format(**paths, threads=threads, broker=broker), encoding="utf-8")
+            return path
+
         free = _copy_free_frames(recording, folder / "free")
-        station = load_config(_write_config(folder / "station", settings.recording, settings, broker))
-        stages = _play(station, bundle, settings, broker)
-        fps = recording.header.nominal_fps
-        idle_config = _write_config(folder / "idle", free, settings, broker)
-        idle = watch_gateway(idle_config, settings.idle_s, broker, fps)
-        press_config = _write_config(folder / "pressing", settings.recording, settings, broker)
-        pressing = watch_gateway(press_config, settings.idle_s, broker, fps)
-    peak = best(before, probe(settings.threads, REPEATS))
+        run_trunk = _open_trunk(bundle, threads)
+        stages = _play(load_config(configure("station", recorded)), run_trunk, presses, broker)
+        idle = watch_gateway(configure("idle", free), idle_s, broker, fps)
+        pressing = watch_gateway(configure("pressing", recorded), idle_s, broker, fps)
+    peak = best(before, probe(threads, REPEATS))
     payloads = [
         recording[k].frame.payload for k in range(0, len(recording), max(1, len(recording) // REPEATS))
     ]
@@ -171,8 +166,8 @@ def bench(settings: BenchSettings, folder: Path) -> Measured:
         {**frame, "fps": fps},
         idle,
         pressing,
-        measure_bare(trunk, _seen(bundle), settings.threads),
-        measure_sensor(settings.recording, settings.idle_s),
+        measure_bare(trunk, see_at_once(bundle), threads),
+        measure_sensor(recorded, idle_s),
         time_help(),
         measure_packages(pressing.mapped_bytes if pressing else {}),
     )
@@ -271,37 +266,27 @@ def _hear(module: str, heard: Callable[[logging.LogRecord], bool]) -> Iterator[N
         log.removeFilter(heard)
 
 
-def _seen(bundle: Bundle) -> tuple[int, int]:
-    """Rows and columns of what the trunk sees at once."""
-    assert bundle.grid is not None
-    tiles = bundle.grid.tiles
-    return bundle.grid.frame if tiles is None else (tiles.size, tiles.size)
+def _open_trunk(bundle: Bundle, threads: int) -> Callable[[], object]:
+    """Return what runs the bare trunk once."""
+    assert bundle.graphs.trunk is not None
+    session = open_session(bundle.graphs.trunk, threads, "the bare trunk")
+    picture = np.random.default_rng(0).integers(0, 256, (1, *see_at_once(bundle), 3), np.uint8)
+    session.run(None, {"frames": picture})
+    return lambda: session.run(None, {"frames": picture})
 
 
 def _play(
-    config: Config, bundle: Bundle, settings: BenchSettings, broker: LocalBroker
+    config: Config, run_trunk: Callable[[], object], presses: int, broker: LocalBroker
 ) -> dict[str, list[float]]:
-    assert bundle.graphs.trunk is not None
-    session = open_session(bundle.graphs.trunk, settings.threads, "the bare trunk")
-    picture = np.random.default_rng(0).integers(0, 256, (1, *_seen(bundle), 3), np.uint8)
-    session.run(None, {"frames": picture})
-    watch = _Watch(lambda: session.run(None, {"frames": picture}))
+    watch = _Watch(run_trunk)
     with (
         listen(broker, watch.arrived),
         _hear(SinkWorker.__module__, watch.acknowledged),
         open_station(config, SystemClock(), stages={"bench": watch}) as station,
     ):
-        station.run(threading.Event(), settings.presses)
+        station.run(threading.Event(), presses)
         watch.finish()
     return dict(watch.ms)
-
-
-def _write_config(folder: Path, recording: Path, settings: BenchSettings, broker: LocalBroker) -> Path:
-    folder.mkdir(parents=True)
-    path = folder / "gelgate.toml"
-    paths = {"recording": recording.resolve(), "bundle": settings.bundle.resolve()}
-    path.write_text(CONFIG.format(**paths, threads=settings.threads, broker=broker), encoding="utf-8")
-    return path
 
 
 def _copy_free_frames(recording: Recording, folder: Path) -> Path:

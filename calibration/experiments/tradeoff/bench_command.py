@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from calibration.experiments.harness.markdown import markdown_table
-from calibration.experiments.tradeoff.bench import STAGES, BenchSettings, Measured, bench
+from calibration.experiments.tradeoff.bench import STAGES, Measured, bench
 from calibration.experiments.tradeoff.machine import busy
 
 __all__ = ["bench_station", "page", "read_medians"]
@@ -38,7 +38,7 @@ def bench_station(
     gateway takes as a whole.
     """
     with tempfile.TemporaryDirectory(prefix="gelgate-bench-", dir=folder) as made:
-        measured = bench(BenchSettings(bundle, recording, presses, idle, threads), Path(made))
+        measured = bench(bundle, recording, presses, idle, threads, Path(made))
     typer.echo(json.dumps(summary(measured)) if as_json else page(measured), nl=as_json)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from calibration.experiments.tradeoff.machine import Peak
 from edge.model.bundle import Bundle
 
-__all__ = ["Work", "floor_ms", "operations", "trunk_work", "work_of"]
+__all__ = ["Work", "floor_ms", "operations", "see_at_once", "trunk_work", "work_of"]
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,16 @@ def trunk_work(trunk: bytes, bundle: Bundle) -> Work:
     grid = bundle.grid
     assert grid is not None
     tiles = 1 if grid.tiles is None else len(grid.tiles)
-    seen = grid.frame if grid.tiles is None else (grid.tiles.size, grid.tiles.size)
-    count, is_int8 = operations(trunk, {"frames": (1, *seen, 3)})
+    count, is_int8 = operations(trunk, {"frames": (1, *see_at_once(bundle), 3)})
     moved = len(trunk) + math.prod(grid.frame) * 3
     return Work(0, count * tiles, moved) if is_int8 else Work(count * tiles, 0, moved)
+
+
+def see_at_once(bundle: Bundle) -> tuple[int, int]:
+    """Return rows and columns of what the trunk sees at once."""
+    assert bundle.grid is not None
+    tiles = bundle.grid.tiles
+    return bundle.grid.frame if tiles is None else (tiles.size, tiles.size)
 
 
 def operations(graph: bytes, inputs: Mapping[str, tuple[int, ...]]) -> tuple[float, bool]:

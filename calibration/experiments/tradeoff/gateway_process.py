@@ -9,12 +9,13 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from importlib.metadata import Distribution, distribution
 from pathlib import Path
 from typing import Final
 
+from calibration.experiments.tradeoff.machine import read_peak_bytes
 from edge import registry
 from edge.clock import SystemClock
 from edge.core.contact.settings import ContactSettings
@@ -110,12 +111,9 @@ def listen(broker: LocalBroker, hear: Callable[[Received], None]) -> Iterator[No
     """Give each message of a station at this broker to a function, which another thread calls."""
     level: Level = "5" if broker.speaks_mqtt5 else "3.1.1"
     address = Broker(broker.host, broker.port, "gelgate-bench", level=level)
-    connection = Connection.open(address, on_received=hear)
-    try:
+    with closing(Connection.open(address, on_received=hear)) as connection:
         connection.subscribe("gelgate/#")
         yield
-    finally:
-        connection.close()
 
 
 def watch_gateway(config: Path, seconds: float, broker: LocalBroker, fps: float) -> Taken | None:
@@ -147,12 +145,10 @@ def watch_gateway(config: Path, seconds: float, broker: LocalBroker, fps: float)
                 time.sleep(seconds)
                 cpu_s, presses = _cpu_s(running.pid) - before_s, len(results) - before
                 lasted_s = time.perf_counter() - from_s
-                lines = Path(f"/proc/{running.pid}/status").read_text().splitlines()
-                memory = next(int(line.split()[1]) << 10 for line in lines if line.startswith("VmHWM"))
                 settings = ContactSettings()
                 return Taken(
                     cpu_s / lasted_s,
-                    float(memory),
+                    float(read_peak_bytes(running.pid) or 0),
                     ready[0] - start,
                     settings.warm_up_s + settings.baseline_frames / fps,
                     presses,

@@ -13,7 +13,7 @@ import numpy as np
 
 from edge.model.session import open_session, read_cpu
 
-__all__ = ["Peak", "best", "busy", "fastest", "fingerprint", "probe"]
+__all__ = ["Peak", "best", "busy", "fastest", "fingerprint", "probe", "read_peak_bytes"]
 
 SIDE: Final = 512
 """Of the square matrices that are multiplied: they stay in the cache, and a product is over within a time slice."""
@@ -72,6 +72,12 @@ def _read(path: str) -> str:
         return Path(path).read_text().strip()
     except OSError:
         return ""
+
+
+def read_peak_bytes(process: int | str) -> int | None:
+    """Return the largest resident size so far of a process, an id or `self`; None where the system does not show it."""
+    lines = _read(f"/proc/{process}/status").splitlines()
+    return next((int(line.split()[1]) << 10 for line in lines if line.startswith("VmHWM")), None)
 
 
 def probe(threads: int, repeats: int = 40) -> Peak:

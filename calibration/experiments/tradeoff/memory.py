@@ -9,13 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.experiments.tradeoff.machine import read_peak_bytes
 from edge.core.errors import FitError, NotScorable
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 
 __all__ = ["peak_bytes"]
-
-_STATUS = Path("/proc/self/status")
 
 
 def _peak(task: tuple[Path, int]) -> int | None:
@@ -26,9 +25,7 @@ def _peak(task: tuple[Path, int]) -> int | None:
         # A published score may overflow on grey; its memory is the same.
         with contextlib.suppress(NotScorable):
             scorer.score(frame)
-    lines = _STATUS.read_text().splitlines()
-    sizes = [int(line.split()[1]) << 10 for line in lines if line.startswith("VmHWM")]
-    return sizes[0] if sizes else None
+    return read_peak_bytes("self")
 
 
 def peak_bytes(
@@ -42,8 +39,6 @@ def peak_bytes(
     None where the system does not show it. Processes are forked from one that has the libraries loaded and no session.
     measure: what a process does with a bundle and its threads. Errors: FitError for a process that dies.
     """
-    if not _STATUS.is_file():
-        return [None] * len(bundles)
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["calibration.experiments.tradeoff.memory"])
     found: list[int | None] = []

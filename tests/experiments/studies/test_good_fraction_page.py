@@ -12,7 +12,7 @@ from command_line import gelgate
 from calibration.experiments.harness.figures import find_curves
 from calibration.experiments.studies.good_fraction_study import page
 from calibration.experiments.studies.report import write_report
-from edge.core.errors import ConfigError, StoreError
+from edge.core.errors import ConfigError
 
 FRACTIONS = (0.25, 0.5, 1.0)
 LEVEL = {0.25: 0.60, 0.5: 0.696, 1.0: 0.70}
@@ -111,7 +111,7 @@ def test_a_report_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "rows.jsonl").write_text("\n".join(lines) + "\n")
     (tmp_path / "file").write_text("")
 
-    with pytest.raises(StoreError, match="the report cannot be written"):
+    with pytest.raises(ConfigError, match="file cannot be a folder: File exists; choose another place"):
         write_report(tmp_path, tmp_path / "file")
     with pytest.raises(ConfigError, match="there are no rows"):
         write_report(tmp_path / "nowhere", tmp_path)
