@@ -101,7 +101,6 @@ class ActuatorDriver:
             self._watch()
             actuator = self._connection.open()
             if actuator is not None:
-                self._connection.check_presence()
                 self._turn(actuator)
                 self._connection.works()
         except Exception as error:  # noqa: BLE001 - the owner's edge: any fault becomes an alarm

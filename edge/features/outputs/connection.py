@@ -40,27 +40,24 @@ class Connection(Generic[P]):
     def __init__(self, open_port: Callable[[], P], clock: Clock, backoff: Backoff, on_fault: OnFault) -> None:
         self.port: P | None = None
         self.retry_ns = clock.monotonic_ns()
-        self.check_ns = 0
+        self._check_ns = 0
         self._open_port, self._clock, self._backoff, self._on_fault = open_port, clock, backoff, on_fault
         self._fault: str | None = None
 
     def open(self) -> P | None:
-        """The device, opened where it is time to try; None while it is away. Errors: DeviceError."""
+        """The device, opened where it is time to try; None while it is away. Once a second it must still be there.
+        Errors: DeviceError, DeviceLost when it is gone."""
         now_ns = self._clock.monotonic_ns()
         if self.port is None:
             if now_ns < self.retry_ns:
                 return None
             self.port = self._open_port()
-            self.check_ns = now_ns + _PRESENCE_NS
+        elif now_ns < self._check_ns:
+            return self.port
+        elif not self.port.is_present():
+            raise DeviceLost(Sentence(f"{self.port.name} is gone; plug it in again"))
+        self._check_ns = now_ns + _PRESENCE_NS
         return self.port
-
-    def check_presence(self) -> None:
-        """Once a second. Errors: DeviceLost when the device is gone."""
-        now_ns = self._clock.monotonic_ns()
-        if self.port is not None and now_ns >= self.check_ns:
-            self.check_ns = now_ns + _PRESENCE_NS
-            if not self.port.is_present():
-                raise DeviceLost(Sentence(f"{self.port.name} is gone; plug it in again"))
 
     def works(self) -> None:
         """The device did what it was asked for."""

@@ -186,8 +186,8 @@ class Outputs(PressStage):
             self._pulse(press)
 
     def acknowledge(self, alarm: str) -> None:
-        with self._lock:
-            if alarm == "pulse" and self._late:
+        if alarm == "pulse":
+            with self._lock:
                 self._late.clear()
                 self._say("pulse", None)
 

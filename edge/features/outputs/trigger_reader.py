@@ -80,7 +80,6 @@ class TriggerReader:
         return max(0.0, (self._connection.retry_ns - self._clock.monotonic_ns()) / 1e9)
 
     def _read(self, trigger: Trigger) -> None:
-        self._connection.check_presence()
         now_ns = self._clock.monotonic_ns()
         due_ns = self._debounce.due_ns()
         longest_ns = now_ns + _LONGEST_READ_NS

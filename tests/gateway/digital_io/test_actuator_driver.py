@@ -2,6 +2,7 @@
 
 import pytest
 from fake_io import FakeRelay, FixedBackoff, run
+from waiting import wait_until
 
 from edge.clock import ManualClock
 from edge.core.digital_io import OutputRule, StationView
@@ -235,12 +236,16 @@ def test_a_channel_that_the_board_does_not_have_is_a_fault() -> None:
 
 
 def test_the_owner_thread_switches_and_ends() -> None:
-    """Started and closed: the outputs of `stopped`, and the board is released by its owner."""
+    """Started and closed: the outputs of `stopped`, and the board is released by its owner. What came before the start
+    is no loop that hangs."""
     bench = Bench()
+    bench.clock.sleep(3)
     bench.driver.start()
+    wait_until(lambda: bench.relay.openings == 1)
     bench.driver.show(READY)
     bench.driver.close()
 
+    assert bench.faults == []
     assert bench.relay.openings == 1
     assert bench.relay.closings == 1
     assert bench.relay.on == set()
