@@ -161,9 +161,8 @@ def enforce(connection: sqlite3.Connection, bounds: Bounds, running_ns: int) -> 
         "SELECT row_id, worth, bytes FROM outbox WHERE running_ns < ? AND worth < ?",
         (oldest_allowed, DropPriority.RETAINED),
     ).fetchall()
-    if aged:
-        _drop(connection, aged)
-        _count_drops(connection, "dropped_by_age", aged)
+    _drop(connection, aged)
+    _count_drops(connection, "dropped_by_age", aged)
     size = "SELECT bytes FROM outbox_size"
     while (excess := connection.execute(size).fetchone()[0] - bounds.max_bytes) > 0:
         victims = connection.execute(
