@@ -80,3 +80,19 @@ def test_two_pieces_are_never_in_progress(path: Path) -> None:
 
     assert last is not None
     assert last.piece == piece(1)
+
+
+def test_the_press_that_waits_for_a_second_one_is_known_after_a_restart(path: Path) -> None:
+    """A press that asked, or the first one of a second that had no score and asks once more."""
+    first = make_press(0, "unsure", score=2.0).press_id
+    with Store(path) as store:
+        waits = [
+            (store.record_press(press, lambda recorded: []), store.read("reading", pieces.read_asked))[1]
+            for press in (
+                make_press(0, "unsure", score=2.0),
+                make_press(1, "error", second_of=first),
+                make_press(2, "fail", score=2.0, second_of=first),
+                make_press(3, "unsure", score=0.5),
+            )
+        ]
+    assert waits == [first, first, None, None]
