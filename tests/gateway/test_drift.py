@@ -47,8 +47,9 @@ def test_a_shift_is_an_alarm_until_somebody_acknowledges_it(config: Path) -> Non
         last.play_until(lambda: last.loop.session is not None)
         watch = last.find(DriftWatch)
         assert (last.alarm("drift"), watch._bundles[watch._bundle]) == (None, left)
+        last.play_presses(1)
         last.ask("replace_gel")
-        assert watch._bundles == {}
+        assert (watch._bundles, watch._sums) == ({}, {})
 
     assert quiet is None
     (only,) = charts.values()
