@@ -56,6 +56,7 @@ SOMETIMES = (
     "writes were lost with the power",
     "killed while a broker was away",
     "killed while the disk was full",
+    "ended with a press and a result that waited, and then a broker came back",
     "the store refused a press",
     "the store took what had waited",
     "the hand lifted because the station asked for it",

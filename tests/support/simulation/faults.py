@@ -123,7 +123,8 @@ MOODS = (
 def hang_up(run: "Simulation", rng: random.Random) -> float:
     """A broker is away, or has another of its moods."""
     broker = rng.choice(list(run.world.brokers.values()))
-    mood = rng.choice(MOODS) if rng.random() < (0.25 if is_small(run.chosen.outbox_mb) else 0.75) else "away"
+    is_mostly_away = is_small(run.chosen.outbox_mb) or run.is_full_and_away
+    mood = rng.choice(MOODS) if rng.random() < (0.25 if is_mostly_away else 0.75) else "away"
     broker.chosen_kind = rng.choice(("result", "heatmap", "gel", "alarm", "info"))
     run.reach(f"a broker {mood}")
     broker.go("away" if mood == "restarts without memory" else mood)
@@ -139,7 +140,7 @@ def hang_up(run: "Simulation", rng: random.Random) -> float:
 def fill_disk(run: "Simulation", rng: random.Random) -> float:
     """No room on the disk, then room again."""
     disk = run.station.disk
-    lasts_s, room = rng.uniform(1, 14), rng.choice((0, 0, 30_000))
+    lasts_s, room = rng.uniform(8 if run.is_full_and_away else 1, 14), rng.choice((0, 0, 30_000))
     disk.fill(room)
     disk.full_since_ns = run.world.clock.now_ns
     if run.station.loop.parts.selection.is_waiting:
@@ -403,7 +404,16 @@ def _is_loss_unread(run: "Simulation") -> bool:
 
 def _is_press_unrecorded(run: "Simulation") -> bool:
     """A press has no row: it waits for room on the disk, or its verdict comes next."""
+    if run.is_full_and_away:
+        return is_held_up(run)
     return _is_press_waiting(run) if run.station.disk.is_full else _is_pressed_unjudged(run)
+
+
+def is_held_up(run: "Simulation") -> bool:
+    """The station has a press that there is no room for, and a broker does not have the one before."""
+    loop = run.station.loop
+    is_waiting = loop.is_halted and loop.session is not None and loop.session.unrecorded > 0
+    return is_waiting and _is_result_unsent(run)
 
 
 def _is_result_waiting(run: "Simulation") -> bool:

@@ -22,7 +22,7 @@ from simulation.auditors_retained import audit_retained
 from simulation.chosen import MET, TURN_S, Chosen, Fault, is_small
 from simulation.conditions import reached_at_end
 from simulation.connections import AT_ONCE_S, connecting
-from simulation.faults import FAULTS, MOMENTS, NEEDS_ANSWER, NEEDS_DISK, WAIT_FIRST
+from simulation.faults import FAULTS, MOMENTS, NEEDS_ANSWER, NEEDS_DISK, WAIT_FIRST, is_held_up
 from simulation.lives import Station
 from simulation.options import MESSAGES, SECRET
 from simulation.outputs import TABLES
@@ -55,6 +55,8 @@ RECORDED_S = 3
 """So long after its end the last press is recorded."""
 PATIENCE = 0.997
 """Of a fault that waits for its moment, each tenth of a second."""
+BROKERS_S = 0.8
+"""So long after its begin a station has seen its sensor, and recorded no press."""
 SINK = '[[sinks]]\nplugin = "simulated"\noptions = {{ host = "{name}", acknowledge_s = {at_once_s} }}\n'
 
 FILE = '[[sinks]]\nplugin = "jsonl"\noptions = {{ folder = "{folder}" }}\n'
@@ -214,12 +216,19 @@ class Simulation:
         by_presses = len(self.world.hand.presses) * len(self.chosen.meetings) // (self.run.presses + 1)
         return max(by_presses, self.world.clock.now_ns // (TURN_S * S))
 
+    @property
+    def is_full_and_away(self) -> bool:
+        """A full disk and a broker that is away meet now; and a kill waits for both."""
+        meetings, turn = self.chosen.meetings, self._turn_of_meetings
+        return turn < len(meetings) and {"fill disk", "hang up"} <= set(meetings[turn])
+
     def _drawn(self, name: str, rate: float, turn: int | None, rng: random.Random) -> float:
         if turn not in (None, self._turn_of_meetings):
             return 0.5
         if "process frozen" in self.ending and name in NEEDS_ANSWER:  # nobody answers
             return 0.1
-        if name in self._aimed and rng.random() < PATIENCE and not MOMENTS[name](self):
+        is_aimed = name in self._aimed or (turn is not None and self.is_full_and_away and name in MOMENTS)
+        if is_aimed and rng.random() < PATIENCE and not MOMENTS[name](self):
             return 0.1
         self._aimed ^= {name} & set(MOMENTS)
         return self._begin(name, rng.getrandbits(32)) + rng.expovariate(rate / 60)
@@ -315,6 +324,14 @@ class Simulation:
             is_waiting = press.begin_ns > disk.full_since_ns + S // 2 and 0 < press.end_ns < now_ns - 2 * S
             press.must_count |= is_waiting and not press.why - {"the station said 'halted'"}
         self.world.sensor.disturb("it waited for room", (now_ns - disk.full_since_ns) / S + 2)
+        # The count that waits for a broker is corrected at the next start, and then the broker comes back.
+        if is_held_up(self) and self.rng.random() < 0.7:
+            self.later(BROKERS_S, self._mend_brokers)
+            self.reach("ended with a press and a result that waited, and then a broker came back")
+
+    def _mend_brokers(self) -> None:
+        for name in [name for name in self.ending if name.split()[0] in self.world.brokers]:
+            self.ending.pop(name)()
 
     def open_again(self) -> None:
         """Begin the next life, with the station's own sensor; the service manager starts again what cannot start."""
