@@ -355,10 +355,10 @@ def _press_id(message: Message) -> str | None:
     kind, _, name = message.topic.partition("/")
     if kind in ("heatmap", "scoremap", "deviations"):
         return name
-    if kind not in ("result", "last") or message.content_type != "application/json":
+    if kind not in ("result", "last"):
         return None
     try:
         press_id = json.loads(message.payload).get("press_id")
-    except (ValueError, AttributeError):  # a damaged row
+    except (ValueError, AttributeError):  # a picture, or a damaged row
         return None
     return press_id if isinstance(press_id, str) else None
