@@ -283,11 +283,16 @@ def test_the_size_is_kept_as_well(configure: Configure) -> None:
 
 
 def test_a_press_that_is_larger_than_the_archive_is_kept(tmp_path: Path, made: Played) -> None:
-    """The newest press stays whatever its size, and takes the place of the one before."""
+    """The newest press stays whatever its size, and takes the place of the one before. What else lies there is looked
+    at once, and not with every press."""
     press, archive = made.record(0), PressArchive(tmp_path / "small", 10, 1)
+    left = tmp_path / "small" / "objects" / "left"
     for press_id in made.ids[:2]:
+        was_left = left.exists()
         archive.keep(press.model_copy(update={"press_id": press_id}), {press.frame: b"frame"})
         assert list_presses(tmp_path / "small") == [press_id]
+        assert left.exists() is was_left
+        left.touch()
 
 
 def test_the_newest_presses_are_kept_after_a_clock_set_back(configure: Configure, tmp_path: Path) -> None:
