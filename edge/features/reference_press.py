@@ -11,6 +11,7 @@ from pydantic import Field
 from edge.config.feature_tables import MasterPieceTable, ReferenceTable
 from edge.core.contact.events import PressSettled
 from edge.core.imaging.quality import Reason, Rejection
+from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, Message
 from edge.core.press import Press, PressLabel, ReferenceLabel
 from edge.core.reference_press.charts import ReferencePress, judge, why_due
@@ -87,7 +88,7 @@ class ReferenceGuard(PressStage):
             )
         if self._mounted.has_contact:
             raise ValueError("something presses the gel; lift it, then ask for the reference press")
-        chosen = self._choose_piece(piece)
+        chosen = self._choose_piece(self._mounted, piece)
         label = ReferenceLabel(chosen.name, chosen.verdict, self._table.learn, is_start)
         self._armed = _Armed(label, self._clock.monotonic_ns() + round(self._table.within_s * 1e9))
         self._say()
@@ -170,32 +171,28 @@ class ReferenceGuard(PressStage):
 
     def _read(self) -> None:
         """The earlier presses of what is mounted. Errors: StoreError."""
-        mounted = self._mounted
-        if mounted is None:
+        if (mounted := self._mounted) is None:
             return
         self._presses = {
             piece.name: self._store.read(
                 "reading the reference presses",
                 partial(reference_presses.of_piece, key=PieceKey(mounted.serial, *mounted.part, piece.name)),
             )
-            for piece in self._pieces()
+            for piece in self._pieces(mounted.part)
         }
 
-    def _pieces(self) -> list[MasterPieceTable]:
-        """Return the master pieces of the selected part and position."""
-        if self._mounted is None:
-            return []
-        part = self._mounted.part
+    def _pieces(self, part: PartPosition) -> list[MasterPieceTable]:
+        """Return the master pieces of a part and position."""
         return [
             piece
             for piece in self._table.pieces
             if piece.part in (None, part.part) and piece.position in (None, part.position)
         ]
 
-    def _choose_piece(self, name: str | None) -> MasterPieceTable:
+    def _choose_piece(self, mounted: Mounted, name: str | None) -> MasterPieceTable:
         """Return the master piece of this name. Errors: ValueError, which names those known."""
-        known = {piece.name: piece for piece in self._pieces()}
-        part = self._mounted.part if self._mounted else ""
+        part = mounted.part
+        known = {piece.name: piece for piece in self._pieces(part)}
         if not known:
             raise ValueError(f"no master piece of {part} is configured; name it under [[reference.pieces]]")
         if name is None and len(known) == 1:

@@ -162,7 +162,7 @@ class ScarWatch(PressStage):
         if not judged.masked.any() or inspection.verdict is None:
             return ScarFindings(judged.blame or _NOWHERE)
         return ScarFindings(
-            judged.blame or (Blame(Cause.GEL, self._blind) if is_too_blind and self._blind else _NOWHERE),
+            judged.blame or (Blame(Cause.GEL, self._blind) if self._blind else _NOWHERE),
             judged.masked,
             judged.blind_mm2,
             judged.blind_share,
