@@ -28,7 +28,7 @@ def rate_limits(alarms: int, trials: int, confidence: float = CONFIDENCE) -> tup
     return 1 - upper_rate(trials - alarms, trials, confidence), upper_rate(alarms, trials, confidence)
 
 
-def trials_needed(rate: float, alarms: int = 0, confidence: float = CONFIDENCE) -> int:
+def trials_needed(rate: float, alarms: int, confidence: float = CONFIDENCE) -> int:
     """The least number of trials that, with this number of alarms, have an upper rate of `rate` at most."""
     if not (0 < rate < 1 and 0 < confidence < 1):
         raise ValueError(f"rate and confidence lie between 0 and 1, found {rate} and {confidence}")

@@ -6,7 +6,6 @@ the publisher read while the gateway writes; synchronous=FULL makes a committed 
 
 import sqlite3
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing, contextmanager
 from importlib.resources import files
@@ -276,7 +275,7 @@ class RunningTime:
     runs, and a crash takes back at most the time since it was last stored.
     """
 
-    def __init__(self, monotonic_ns: Callable[[], int] = time.monotonic_ns) -> None:
+    def __init__(self, monotonic_ns: Callable[[], int]) -> None:
         self._monotonic_ns = monotonic_ns
         self._opened_ns = monotonic_ns()
         self._before_ns: int | None = None  # the running time at the first use

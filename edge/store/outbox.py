@@ -139,7 +139,7 @@ def put_picture(
     press_id: str,
     make_messages: Make,
     running_ns: int,
-    measured: Measured = None,
+    measured: Measured,
 ) -> None:
     """Add the picture of a press where it is owed. measured: written into the press."""
     owed = "FROM owed_pictures WHERE press_id = ?"

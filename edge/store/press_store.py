@@ -217,7 +217,7 @@ class Store:
         """The ids of recorded presses whose picture is not queued, oldest first."""
         return self.read("reading the owed pictures", outbox.owed_pictures)
 
-    def queue_picture(self, press_id: str, make: outbox.Make, measured: outbox.Measured = None) -> None:
+    def queue_picture(self, press_id: str, make: outbox.Make, measured: outbox.Measured) -> None:
         """Queue what is owed of a press, as `put_picture` says; without effect where nothing is."""
         with self._database.writing(f"queueing the picture of press {press_id}") as connection:
             running_ns = self._running.store(connection)

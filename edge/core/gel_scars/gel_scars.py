@@ -152,7 +152,7 @@ class GelScars:
             ),
         )
 
-    def find_marks(self, free: View | None, left: View | None = None) -> Marks | None:
+    def find_marks(self, free: View | None, left: View | None) -> Marks | None:
         """Find the marks of the free gel, once for the same pictures, which do not change; None where they are not
         known. It may be asked before the press is judged."""
         first = self.first

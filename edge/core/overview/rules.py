@@ -70,10 +70,7 @@ _qr_reader = cache(cv2.QRCodeDetector)
 
 @cache
 def _tag_reader(family: TagFamily) -> Any:
-    parameters = cv2.aruco.DetectorParameters()
-    # Corners are not needed to a fraction of a pixel, only the number.
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(_FAMILIES[family]), parameters)
+    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(_FAMILIES[family]))
 
 
 _FAMILIES: Final[dict[TagFamily, int]] = {

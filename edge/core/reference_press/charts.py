@@ -313,7 +313,7 @@ def why_due(
     last_ns: int | None,
     now_ns: int,
     every_h: float,
-    shifts: Sequence[datetime.time] = (),
+    shifts: Sequence[datetime.time],
     zone: datetime.tzinfo | None = None,
 ) -> str | None:
     """Say why a reference press is due, as a sentence without its end, or None.
