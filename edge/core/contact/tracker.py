@@ -49,7 +49,7 @@ class _Mean:
         self.frames += 1
 
     def clear(self) -> None:
-        self.total, self.frames = None, 0
+        self.total = None
 
     def view(self) -> View:
         if self.total is None:
@@ -193,7 +193,6 @@ class ContactTracker:
     def gap(self) -> list[Event]:
         """The stream was interrupted: device lost, stalled or re-opened. The reference and a press are kept."""
         self._track, events = contact.gap(self._track)
-        self._baseline.clear()
         self._free.clear()
         return list(events)
 
@@ -210,9 +209,7 @@ class ContactTracker:
         self._free_looks = self._newest_free = ()
         self._is_lent = False
         self._witness = None
-        self._baseline.clear()
-        self._free.clear()
-        return list(events)
+        return list(events)  # with the next view nothing rests, so no mean goes on
 
     def _observe(self, view: View, timestamp_ns: int, sequence: int) -> tuple[Observation, View]:
         """The view in numbers, and at the reference's level; the view itself while there is no reference."""
@@ -326,12 +323,15 @@ class ContactTracker:
 
     def _refresh(self, view: View, timestamp_ns: int) -> list[Event]:
         """Follow the free gel, and only it: no press, no residue, and the recovery time over."""
-        is_free = self.state is State.NO_CONTACT and self.touch is not None and not is_black(view)
+        old, touch, relief = self.reference, self.touch, self.relief
         if (
-            self.reference is None
-            or not is_free
-            or (self.touch and self.touch.area > self.settings.off_area)
-            or (self.relief and self.relief.area >= self.settings.on_area)
+            self.state is not State.NO_CONTACT
+            or old is None
+            or touch is None
+            or relief is None
+            or is_black(view)
+            or touch.area > self.settings.off_area
+            or relief.area >= self.settings.on_area
         ):
             self._free.clear()
             return []
@@ -340,7 +340,6 @@ class ContactTracker:
             self._free_looks = (*self._free_looks[-2:], view)
         if timestamp_ns - self._free.since_ns < self.settings.refresh_s * 1e9:
             return []
-        old = self.reference
         new = old.refresh(self._free.view(), self.settings.refresh_weight)
         self._refer_to(new)
         self._free.clear()
