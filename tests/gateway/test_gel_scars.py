@@ -10,8 +10,10 @@ from scarred_gel import MARK, scarred_recording
 from station import FPS, HEADER, gel, jpeg, station_config
 from stepped_station import SteppedStation
 
+from edge.core.contact.events import ReferenceCorrected
 from edge.core.press import PressLabel, StudyLabel
 from edge.core.verdict import Cause, Kind
+from edge.features.scars import ScarWatch
 from edge.press_stage import PressStage
 from edge.recording.format import RecordingWriter
 from edge.store.history import HistoryQuery, read_history
@@ -89,7 +91,8 @@ def test_a_verdict_with_masked_scars_is_made_again(played: SteppedStation) -> No
 
 
 def test_scars_outlive_a_restart_and_not_the_gel(tmp_path: Path, scarred: Path, bundle: Path) -> None:
-    """A station that ends after the scar was named masks it in its next press; a new gel has no scar and no alarm."""
+    """A station that ends after the scar was named masks it in its next press; a new gel has no scar and no alarm. What
+    was found with a picture of the gel that proves wrong is found anew, also after one more restart."""
     config = station_config(tmp_path, scarred, bundle)
     with SteppedStation(config) as station:
         station.play_until(lambda: len(station.reports) == 3)
@@ -97,6 +100,8 @@ def test_scars_outlive_a_restart_and_not_the_gel(tmp_path: Path, scarred: Path, 
         station.play_until(lambda: len(station.reports) == 3)
         assert station.verdicts == [Kind.PASS] * 3
         assert (station.results[2].blind_share or 0) > 0
+        station.find(ScarWatch).see(ReferenceCorrected(0))
+        assert list(tmp_path.rglob("*.scars.npy")) == []
         station.ask("replace_gel", gel_id="new")
         station.play_until(lambda: len(station.reports) == 4)
         fresh = station.results[3]
