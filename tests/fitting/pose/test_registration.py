@@ -97,14 +97,14 @@ def test_a_few_parts_in_a_fixture_are_compared_as_they_lie() -> None:
 
 
 def test_a_ball_is_compared_as_it_lies_by_a_method_that_compares_no_places() -> None:
-    manifest = fitted(nominal(parts.anywhere(parts.BALL, 8)[1]), "auto", detector=tiny.TINY).manifest
+    manifest = fitted(nominal(parts.anywhere(parts.BALL, 6)[1]), "auto", detector=tiny.TINY).manifest
     assert manifest.registration is None
     assert "without a turn" in manifest.facts["registration"]
 
 
 def test_parts_that_are_held_are_registered_for_the_next_may_lie_further_away() -> None:
     """A press that lies a third of a millimetre beyond those of the fit passes; compared as it lies it fails."""
-    held = nominal(parts.anywhere(parts.BLOCK, 12, shift_px=2.0, turn_rad=0.01)[1])
+    held = nominal(parts.anywhere(parts.BLOCK, 10, shift_px=2.0, turn_rad=0.01)[1])
     moved = parts.press(parts.BLOCK, Pose(7.0, -5.0, 0.04), seed=99)
 
     def judge(bundle: Bundle) -> str:
@@ -230,8 +230,8 @@ def test_what_is_stored_is_what_was_learnt() -> None:
 
 @pytest.mark.parametrize(
     ("part", "symmetry"),
-    [(parts.BLOCK, 1), (parts.KEYED, 1), *((parts.ring(n), n) for n in (2, 3, 6)), (parts.BALL, 0)],
-    ids=["block", "keyed", "2", "3", "6", "ball"],
+    [(parts.BLOCK, 1), (parts.KEYED, 1), *((parts.ring(n), n) for n in (2, 6)), (parts.BALL, 0)],
+    ids=["block", "keyed", "2", "6", "ball"],
 )
 def test_how_often_a_part_looks_the_same_in_a_turn(part: parts.Bumps, symmetry: int) -> None:
     """Its turn is then found but for steps of that, for each press; a nearly round part keeps all of its turn."""
@@ -328,7 +328,7 @@ def test_the_example_refuses_a_registered_bundle(tmp_path: Path) -> None:
 
 
 def test_presses_without_relief_cannot_be_registered() -> None:
-    flat = np.stack([parts.press((), seed=k) for k in range(6)])
+    flat = np.stack([parts.press((), seed=k) for k in range(3)])
     with pytest.raises(FitError, match="registered"):
         learn_pose(flat, parts.free_gel())
 

@@ -17,12 +17,10 @@ def find(frames: np.ndarray) -> list[str]:
     return find_two_parts(learn_pose(frames, parts.free_gel()), [f"p{k}" for k in range(len(frames))])
 
 
-@pytest.mark.parametrize(("count", "others"), [(8, 6), (12, 4)])
-def test_presses_of_another_part_are_named(count: int, others: int) -> None:
-    (said,) = find(mix(parts.BLOCK, count, parts.OTHER, others))
-    named = ", ".join(f"'p{k}'" for k in range(count, count + others))
-    assert f"two parts: {others} of {count + others} presses ({named}) differ from the others" in said
-    assert f"--leave-out 'p{count}'" in said
+def test_a_few_presses_of_another_part_are_named() -> None:
+    (said,) = find(mix(parts.BLOCK, 12, parts.OTHER, 4))
+    assert "two parts: 4 of 16 presses ('p12', 'p13', 'p14', 'p15') differ from the others" in said
+    assert "--leave-out 'p12'" in said
 
 
 @pytest.mark.parametrize(
