@@ -72,7 +72,7 @@ def error(method: str, mode: str, topology: str, touched: np.ndarray | None = No
     return largest_error(head_scores(detector, parameters, asked, bank, grid), oracle)
 
 
-@pytest.mark.parametrize("topology", ["resnet18", "resnet50"])
+@pytest.mark.parametrize("topology", ["resnet18", pytest.param("resnet50", marks=pytest.mark.lab)])
 @pytest.mark.parametrize("mode", ["paper", "corrected"])
 @pytest.mark.parametrize("method", METHODS)
 def test_the_graph_equals_the_oracle(method: str, mode: str, topology: str) -> None:
