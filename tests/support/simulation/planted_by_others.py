@@ -110,8 +110,8 @@ BY_OTHERS = (
     Bug(
         "objects of the archive that are shared are removed",
         "edge/store/press_archive.py",
-        "if uses == 0]",
-        "if uses <= 1]",
+        "if uses[digest] == 0]",
+        "if uses[digest] <= 1]",
         "archive",
     ),
     # mqtt.md, architecture.md: where the broker refuses the second connection `availability` is emptied:
