@@ -56,7 +56,8 @@ def score_at(relative: float, threshold: float) -> float:
 def paint_scores(relative: F32) -> U8:
     """Colour relative scores (h, w) as uint8 (h, w, 3) RGB, from black (0) to pale yellow (FULL_SCALE and above)."""
     levels = np.rint(np.clip(relative / np.float32(FULL_SCALE), 0.0, 1.0) * np.float32(255.0))
-    return np.asarray(cv2.applyColorMap(levels.astype(np.uint8), _COLOURS)[:, :, ::-1], np.uint8)
+    bgr = cv2.applyColorMap(levels.astype(np.uint8), _COLOURS)
+    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def draw_contour(rgb: U8, relative: F32) -> None:

@@ -68,14 +68,15 @@ class NominalPictures:
         """Compare a press, uint8 (h, w, 3) as the pictures are. peak: (x, y) of the highest score, pixels of it."""
         (w, h), (width, height) = self.size, (rgb.shape[1], rgb.shape[0])
         bgr = np.asarray(cv2.imdecode(np.frombuffer(self.jpeg, np.uint8), cv2.IMREAD_COLOR))
-        pictures = bgr[..., ::-1].astype(np.float32).reshape(-1, h, w, 3)
+        pictures = bgr[..., ::-1].reshape(-1, h, w, 3)
         press = _resize(rgb.astype(np.float32), self.size)
         across = (np.arange(w) - (peak[0] + 0.5) * w / width + 0.5) * mm_per_pixel[0] * width / w
         down = (np.arange(h)[:, None] - (peak[1] + 0.5) * h / height + 0.5) * mm_per_pixel[1] * height / h
         away = np.hypot(across, down)
         near = away <= max(_AROUND_MM, float(away.min()))
-        chosen = int(np.square(pictures[:, near] - press[near]).sum(axis=(1, 2)).argmin())
-        nominal = pictures[chosen]
+        around = pictures[:, near].astype(np.float32)  # of all the rest one is needed
+        chosen = int(np.square(around - press[near]).sum(axis=(1, 2)).argmin())
+        nominal = pictures[chosen].astype(np.float32)
         return Compared(
             _resize(nominal, (width, height)), _resize(press - nominal, (width, height)), self.names[chosen]
         )

@@ -143,7 +143,7 @@ def draw_press(
     relative = relative_scores(score_map, caption.threshold)
     width, height = _panel_size(rgb.shape[1], rgb.shape[0], caption.mm_per_pixel, largest_panel)
     relative = np.asarray(cv2.resize(relative, (width, height), interpolation=_how(rgb, width)), np.float32)
-    press, heat = _press_panel(rgb, width, height), np.ascontiguousarray(paint_scores(relative))
+    press, heat = _press_panel(rgb, width, height), paint_scores(relative)
     for panel in (press, heat):
         _draw_outlines(panel, outlines, (width / rgb.shape[1], height / rgb.shape[0]))
         draw_contour(panel, relative)

@@ -1,5 +1,7 @@
 """What a press was compared with: the nominal press most like it at its highest score, or the mean."""
 
+import tracemalloc
+
 import cv2
 import numpy as np
 import pytest
@@ -61,6 +63,12 @@ def test_of_many_presses_some_are_shown_from_first_to_last() -> None:
         compared = pictures.compare(gradient(level), (80.0, 80.0), MM)
         assert abs(int(compared.name.split()[-1]) - level) <= 4  # levels of 4 apart are one picture to a JPEG
         assert np.ptp(compared.nominal) <= 2
+    tracemalloc.start()
+    pictures.compare(gradient(0), (80.0, 80.0), MM)
+    assert (
+        tracemalloc.get_traced_memory()[1] < 3 * MOST_PICTURES * gradient(0).nbytes
+    )  # none but one in float32
+    tracemalloc.stop()
 
 
 def test_a_score_at_the_rim_of_a_flat_region_has_its_comparison() -> None:
