@@ -89,10 +89,14 @@ def command(name: str) -> Verb:
     raise ConfigError(f"the entry point '{name}' of gelgate.commands is not a function; correct its package")
 
 
+_installed = cache(entry_points)
+"""Every entry point that there is: each installed package is read for them, whatever the group."""
+
+
 @cache
 def _points(group: Group) -> Mapping[str, list[EntryPoint]]:
     found: dict[str, list[EntryPoint]] = {}
-    for point in entry_points(group=f"gelgate.{group}"):
+    for point in _installed().select(group=f"gelgate.{group}"):
         known = found.setdefault(point.name, [])
         if point.value not in [one.value for one in known]:
             known.append(point)

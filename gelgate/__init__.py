@@ -4,6 +4,7 @@ What `__all__` names is public: it changes as semver.org says. All else may chan
 has the examples. Nothing is imported before it is used.
 """
 
+import gc
 import os
 import signal
 import sys
@@ -27,6 +28,7 @@ def __getattr__(name: str) -> Any:
 
 def main() -> NoReturn:
     """Run the command line. Ends with 3 where `edge` is another program's."""
+    gc.disable()  # until the verb is loaded: modules stay to the end, and are a tenth of a start to look through
     # A service that is asked to reload while it is loaded, which takes a second, has read nothing yet.
     if sys.argv[1:2] == ["run"] and not os.isatty(0):
         signal.signal(signal.SIGHUP, signal.SIG_IGN)

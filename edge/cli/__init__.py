@@ -6,6 +6,7 @@ Exit codes: EXIT_MEANINGS. After 2 or 3 a restart does not help: a person has to
 """
 
 import errno
+import gc
 import os
 import platform
 import stat
@@ -175,6 +176,9 @@ def _load(name: str) -> Any:
         app.add_typer(verb, name=name)
     else:
         app.command(name, cls=_Command)(verb)
+    if not gc.isenabled():  # as `gelgate.main` leaves it
+        gc.freeze()
+        gc.enable()
     return typer.main.get_group(app).commands[name]
 
 

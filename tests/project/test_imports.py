@@ -34,3 +34,13 @@ def test_onnxruntime_reports_nothing_to_its_maker(module: str, tmp_path: Path) -
     subprocess.run([sys.executable, "-c", program], env=own | places, check=True)
 
     assert list(tmp_path.rglob("*")) == []
+
+
+def test_a_verb_runs_with_the_collector_of_garbage() -> None:
+    """It is off while modules are imported, which then stay out of its way."""
+    program = (
+        "import atexit, gc, sys\nfrom gelgate import main\nsys.argv = ['gelgate', 'check', '--example']\n"
+    )
+    said = "atexit.register(lambda: print(gc.isenabled(), gc.get_freeze_count() > 10_000))\nmain()"
+    done = subprocess.run([sys.executable, "-c", program + said], capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-2:] == ["True", "True"]

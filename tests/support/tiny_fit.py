@@ -42,6 +42,8 @@ def other_package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "path", [*sys.path, str(site)])
+        registry._installed.cache_clear()
         registry._points.cache_clear()
         yield
+    registry._installed.cache_clear()
     registry._points.cache_clear()

@@ -167,7 +167,9 @@ def install_plugins(folder: Path) -> Iterator[None]:
     lines = (f"[gelgate.{group}]\nsimulated = {place}\n" for group, place in places.items())
     (info / "entry_points.txt").write_text("".join(lines))
     sys.path.insert(0, str(folder))
+    registry._installed.cache_clear()
     registry._points.cache_clear()
     yield
     sys.path.remove(str(folder))
+    registry._installed.cache_clear()
     registry._points.cache_clear()
