@@ -165,7 +165,7 @@ def recover(
             Sentence(
                 f"presses {newest + 1} to {known.sequence} are missing, so it was removed, damaged or replaced by an "
                 f"old copy; gel {known.gel_id} of sensor {serial} goes on from {known.presses} presses. Look for the "
-                "lost file; unsent results in it are lost"
+                "lost file; the history, unsent results, proofs and what people said and did in it are lost"
             )
         )
     # A press that was recorded just before the process died may be in the count, and among those that waited.
