@@ -53,6 +53,7 @@ def test_press_and_heatmap_need_no_scrolling(browser: Any, sink: PageSink, size:
         "JSON.stringify(document.getElementById('picture').getBoundingClientRect())"
     )
     assert tab.evaluate("document.scrollingElement.scrollWidth <= innerWidth")
+    assert tab.locator("#presses a").bounding_box()["height"] >= 44, "a finger does not hit it"
     if size[0] >= 1440:
         tab.select_option("#language", "de")
         tab.wait_for_selector("html[lang=de]")
