@@ -74,8 +74,7 @@ class Pieces(PressStage):
     def open(cls, parts: StageParts) -> Self | None:
         """Go on with the piece that was in progress. Errors: ConfigError for a place without a bundle, StoreError."""
         if parts.config.piece is None:
-            if parts.store.read("looking for pieces", pieces.read_last) is not None:
-                parts.announce(Message(PiecePayload.topic, b"", retain=True))  # of an earlier configuration
+            parts.announce(Message(PiecePayload.topic, b"", retain=True))  # of an earlier configuration
             return None
         check_places(parts.config.piece.plan, parts.selection.find_all)
         stage = cls(parts.config.piece, parts)

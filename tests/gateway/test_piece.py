@@ -539,7 +539,13 @@ def test_a_master_piece_and_a_study_are_of_no_piece(configure: Make, label: Pres
 
 
 def test_a_station_without_a_plan_says_nothing_of_a_piece_that_an_earlier_plan_began(configure: Make) -> None:
-    """The retained message is taken away; with the plan again the piece goes on."""
+    """The retained message is taken away, also where no piece was begun; with the plan again the piece goes on."""
+    with PieceStation(
+        configure("")
+    ) as station:  # of a plan that nobody pressed, or of a database that is lost
+        assert ("piece", b"") in [
+            (one.topic, one.payload) for one in station.parts.publisher.retained_state.all()
+        ]
     with PieceStation(configure(plan())) as station:
         station.ask("begin_piece", piece_id="P1")
     with PieceStation(configure("")) as station:
