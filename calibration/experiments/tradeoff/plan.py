@@ -26,7 +26,7 @@ from edge.cli.arguments import add_argument, add_option
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
 
-__all__ = ["BACKBONES", "LEAST_ROUNDS", "Run", "TradeoffArguments", "choose_points", "usual_points"]
+__all__ = ["BACKBONES", "LEAST_ROUNDS", "Run", "TradeoffArguments", "usual_points"]
 
 BACKBONES: Final = (DEFAULT_BACKBONE, "tactile_resnet18", "tactile_resnet18_int8")
 """The trunks of a run without others: those that ship, the one that `gelgate fit` uses first."""
@@ -56,10 +56,16 @@ PAPER: Final = ("padim", "spade", "fapm", "patchcore")
 """The methods whose published settings this family of trunks can give (InReaCh needs other taps)."""
 
 
-def usual_points(backbones: Sequence[str], methods: Sequence[str]) -> tuple[OperatingPoint, ...]:
-    """The points of a run. The first backbone is varied in every axis, the others with the usual settings."""
-    points = [point for method in methods for point in _of_method(method, backbones)]
-    return tuple(dict.fromkeys(points))
+def usual_points(
+    backbones: Sequence[str], methods: Sequence[str], *, most: int = MOST, with_high: bool = True
+) -> tuple[OperatingPoint, ...]:
+    """The points of a run. The first backbone is varied in every axis, the others with the usual settings.
+
+    most: presses that can be fitted. with_high: whether there are high-resolution pictures.
+    """
+    points = (point for method in methods for point in _of_method(method, backbones))
+    allowed = (point for point in points if point.presses <= most and (with_high or point.view == "lr"))
+    return tuple(dict.fromkeys(allowed))
 
 
 def _of_method(method: str, backbones: Sequence[str]) -> Iterator[OperatingPoint]:
@@ -75,24 +81,6 @@ def _of_method(method: str, backbones: Sequence[str]) -> Iterator[OperatingPoint
         yield OperatingPoint(method, first, "hr")
     if method in TILED:
         yield from (OperatingPoint(method, first, view) for view in ("hr_tiles_0", "hr_tiles_56"))
-
-
-def choose_points(
-    backbones: Sequence[str], methods: Sequence[str], *, has_high_resolution: bool, most_presses: int
-) -> tuple[OperatingPoint, ...]:
-    """The usual points that this dataset allows. Errors: ConfigError for an unknown method, or for no point."""
-    require_known("detector", methods, registry.names("detectors"))
-    points = tuple(
-        point
-        for point in usual_points(backbones, methods)
-        if point.presses <= most_presses and (has_high_resolution or point.view == "lr")
-    )
-    if not points:
-        raise ConfigError(
-            f"no operating point is left: the dataset gives {most_presses} presses to fit, the smallest fit has "
-            f"{PRESSES[0]}; press more good parts"
-        )
-    return points
 
 
 LEAST_ROUNDS: Final = 7
@@ -142,12 +130,17 @@ class Run:
     def of(cls, given: TradeoffArguments) -> "Run":
         """Return the run of every point that the presses allow. Errors: DatasetError, ConfigError."""
         chosen = choose_presses(given.dataset, given.part, given.position, given.seed)
-        points = choose_points(
-            tuple(given.backbone or BACKBONES),
-            tuple(given.method or registry.names("detectors")),
-            has_high_resolution=bool(chosen.high),
-            most_presses=len(chosen.fitted),
+        known = registry.names("detectors")
+        require_known("detector", given.method or (), known)
+        most, with_high = len(chosen.fitted), bool(chosen.high)
+        points = usual_points(
+            given.backbone or BACKBONES, given.method or known, most=most, with_high=with_high
         )
+        if not points:
+            raise ConfigError(
+                f"no operating point is left: the dataset gives {most} presses to fit, the smallest fit has "
+                f"{PRESSES[0]}; press more good parts"
+            )
         return cls(given, chosen, points)
 
     def point(self, key: str) -> OperatingPoint:

@@ -12,7 +12,7 @@ from tradeoff_dataset import make_dataset
 
 from calibration.experiments.tradeoff.command import bundle_of
 from calibration.experiments.tradeoff.front import WAITED, read_rows, write_rows
-from calibration.experiments.tradeoff.plan import Run, TradeoffArguments, choose_points, usual_points
+from calibration.experiments.tradeoff.plan import Run, TradeoffArguments, usual_points
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint
 from calibration.experiments.tradeoff.presses import choose_presses, on_common_grid
 from calibration.experiments.tradeoff.run import measure, require_same_run
@@ -129,7 +129,7 @@ def test_a_usual_run_has_sixty_points_and_no_two_alike() -> None:
 
     methods = tuple(registry.names("detectors"))
     points = usual_points(BACKBONES, methods)
-    few = choose_points(BACKBONES, methods, has_high_resolution=False, most_presses=20)
+    few = usual_points(BACKBONES, methods, with_high=False, most=20)
     assert len(few) >= 60
     assert len({point.key for point in points}) == len(points)
     assert {point.view for point in points} == set(VIEWS)

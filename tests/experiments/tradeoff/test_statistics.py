@@ -9,11 +9,11 @@ from calibration.experiments.tradeoff.timing import stage_times
 STAGE_MS = np.array([[8.0, 8.0], [3.0, 6.0], [1.0, 2.0]])
 """decode, trunk and head of two points."""
 
-APART = [("lr", "a", "p"), ("lr", "b", "q")]
-SHARED = [("lr", "a", "p"), ("lr", "a", "q")]
+APART: list[tuple[object, ...]] = [("lr", "a", "p"), ("lr", "b", "q")]
+SHARED: list[tuple[object, ...]] = [("lr", "a", "p"), ("lr", "a", "q")]
 
 
-def medians(shared: list[tuple[str, ...]], extra: np.ndarray, what: str = "median") -> list[list[float]]:
+def medians(shared: list[tuple[object, ...]], extra: np.ndarray, what: str = "median") -> list[list[float]]:
     """Each stage of both points, (stages, points), with something added to each round, (stages, rounds, points)."""
     times = stage_times((STAGE_MS[:, None, :] + extra).transpose(1, 2, 0), shared)
     return [[one["stages"][name][what] for one in times] for name in WAITED]
