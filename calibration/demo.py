@@ -21,10 +21,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from edge.clock import SystemClock
+from edge.core.errors import SinkUnavailable
+from edge.core.imaging.image_bytes import kind
+from edge.messaging.local_broker import LocalBroker
+
 if TYPE_CHECKING:
     from edge.acquisition import AcquisitionStatus
     from edge.gateway.report import Summary
-    from edge.messaging.local_broker import LocalBroker
     from edge.messaging.mqtt_broker import Level
 
 __all__ = ["demo"]
@@ -64,8 +68,6 @@ def demo(
     """Simulate a bolt, fit a bundle, inspect, publish.
 
     The gateway runs on a virtual sensor and publishes over a real broker; the heatmaps are kept."""
-    from edge.messaging.local_broker import LocalBroker
-
     started = time.monotonic()
     heatmaps = output / "heatmaps"
     shutil.rmtree(heatmaps, ignore_errors=True)
@@ -132,7 +134,6 @@ class _Tally:
 
     def check(self, recording: Path) -> None:
         """Compare with the labels. Errors: PressesMissed, SinkUnavailable: a press or a result was lost."""
-        from edge.core.errors import SinkUnavailable
         from edge.recording.format import Recording
 
         if self.summary is not None and self.summary.has_ended and self.status is not None:
@@ -159,10 +160,9 @@ def _show_picture(heatmaps: Path) -> None:
         draw_in_terminal(rgb, sys.stdout, os.environ)
 
 
-def _inspect(folder: Path, bundle: Path, recording: Path, heatmaps: Path, broker: "LocalBroker") -> _Tally:
+def _inspect(folder: Path, bundle: Path, recording: Path, heatmaps: Path, broker: LocalBroker) -> _Tally:
     """Run the gateway and a subscriber on the test recording."""
     from edge.cli.run import press_line
-    from edge.clock import SystemClock
     from edge.config import load_config
     from edge.gateway.build import open_station
     from edge.store.press_store import Store
@@ -201,7 +201,7 @@ def _inspect(folder: Path, bundle: Path, recording: Path, heatmaps: Path, broker
     return tally
 
 
-def _level(broker: "LocalBroker") -> "Level":
+def _level(broker: LocalBroker) -> "Level":
     return "5" if broker.speaks_mqtt5 else "3.1.1"
 
 
@@ -219,12 +219,11 @@ def _read_damage(recording: Path) -> list[str]:
 
 
 @contextmanager
-def _subscriber(local: "LocalBroker", heatmaps: Path) -> Iterator[tuple[dict[str, str], set[str]]]:
+def _subscriber(local: LocalBroker, heatmaps: Path) -> Iterator[tuple[dict[str, str], set[str]]]:
     """A subscriber: press id to verdict, in the order of arrival, and the presses of which the picture has come, too.
 
     Pictures are saved with the verdict in their name.
     """
-    from edge.core.imaging.image_bytes import kind
     from edge.messaging.mqtt_broker import Broker, Received
     from edge.messaging.mqtt_connection import Connection
 

@@ -10,7 +10,11 @@ from typing import TYPE_CHECKING
 import typer
 
 from calibration.acquisition.arguments import AcquireArguments
+from calibration.fitting.command import choose_profile, fit, refuse_existing, resolve_sources
 from edge.cli.arguments import flatten
+from edge.clock import SystemClock
+from edge.core.errors import ConfigError, FitError
+from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
 if TYPE_CHECKING:
     from calibration.acquisition.acquiring import Acquiring
@@ -28,8 +32,6 @@ def acquire(given: AcquireArguments) -> None:
     After each press: what is new on it, and what its number promises. Every press is kept at once; after Ctrl-C the
     same command continues.
     """
-    from calibration.fitting.command import refuse_existing
-
     if given.fit is not None:
         refuse_existing(given.fit, overwrite=False)
     acquiring, plan, limit = take_presses(given)
@@ -46,7 +48,6 @@ def take_presses(given: AcquireArguments) -> tuple["Acquiring", AcquireArguments
     Errors: as the sources'.
     """
     from calibration.acquisition.acquiring import Acquiring
-    from calibration.fitting.command import choose_profile
 
     _check(given)
     sensor = choose_profile(given.profile, given.sources or [])
@@ -64,8 +65,6 @@ def take_presses(given: AcquireArguments) -> tuple["Acquiring", AcquireArguments
 
 def _check(given: AcquireArguments) -> None:
     """Check the options. Errors: ConfigError."""
-    from edge.core.errors import ConfigError
-
     if sum(bool(source) for source in (given.sources, given.config, given.device)) != 1:
         raise ConfigError("name one of SOURCE, --config and --device; `gelgate devices` lists the devices")
     for name, value in (("--promise", given.promise), ("--confidence", given.confidence)):
@@ -76,8 +75,6 @@ def _check(given: AcquireArguments) -> None:
 
 def check_promise(name: str, value: float) -> None:
     """Check a share that is an option of this name. Errors: ConfigError."""
-    from edge.core.errors import ConfigError
-
     if not 0 < value < 1:
         raise ConfigError(f"{name} lies between 0 and 1, found {value}; 0.1 is one in ten")
 
@@ -88,10 +85,7 @@ Stream = Iterator["Found"]
 def _stream(given: AcquireArguments, profile: "SensorProfile") -> tuple[Stream, str, str, int]:
     """The presses, their part and position, and how many presses the gel is rated for. Errors: as the sources'."""
     from calibration.acquisition.sources import find_sensor, frames_of, from_frames, from_sources
-    from calibration.fitting.command import resolve_sources
     from calibration.fitting.presses.recorded_presses import PressFinder
-    from edge.clock import SystemClock
-    from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
     if given.sources:
         found = resolve_sources(given.sources, given.part, given.position, profile)
@@ -145,7 +139,6 @@ def _run(acquiring: "Acquiring", stream: Stream, limit: int, most: int, go_on: b
 def summarise(acquiring: "Acquiring", limit: int) -> None:
     """Print the summary and draw the map. Errors: FitError where no press was taken."""
     from calibration.acquisition.report import summary_lines
-    from edge.core.errors import FitError
 
     standing = acquiring.standing
     if not standing.presses:
@@ -185,8 +178,6 @@ def fit_command(folder: Path, plan: AcquireArguments, standing: "Standing") -> s
 
 def fit_now(folder: Path, plan: AcquireArguments, standing: "Standing", output: Path) -> None:
     """Fit the acquired presses and print the summary. Errors: as `gelgate fit`."""
-    from calibration.fitting.command import fit
-
     fit(
         sources=[folder / "presses"],
         output=output,

@@ -14,14 +14,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, TypeVar
+from typing import Annotated, Final, TypeVar
 
 import typer
 
+from calibration.acquisition.arguments import AcquireArguments
+from calibration.acquisition.command import check_promise, fit_now, summarise, take_presses
+from calibration.folders import write_whole
+from edge import registry
+from edge.cli.arguments import parse_values, plugin_options
 from edge.cli.options import CONFIG, ConfigOption
-
-if TYPE_CHECKING:
-    from edge.config import Config
+from edge.config import Config, load_config, root_options
+from edge.core.errors import ConfigError, DeviceNotFound, FitError, GelgateError
 
 __all__ = ["new_part"]
 
@@ -85,8 +89,6 @@ def new_part(
     It finds the sensor, takes presses until they are enough, fits a bundle, checks the station and starts it. After
     an interruption the same command goes on."""
     from edge.cli.run import check, run
-    from edge.config import load_config
-    from edge.core.errors import ConfigError
     from edge.gateway.preflight import try_sink
 
     guide = _Guide(is_quick)
@@ -126,9 +128,6 @@ def new_part(
 
 def _check_words(name: str, promise: float, device: str | None) -> str:
     """Return the name of the bundle. Errors: ConfigError for a wrong word, before anything is begun."""
-    from calibration.acquisition.command import check_promise
-    from edge import registry
-
     check_promise("--promise", promise)
     if device is not None:
         registry.device(device)
@@ -145,8 +144,6 @@ class _Guide:
     @contextmanager
     def step(self, title: str) -> Iterator[None]:
         """Say which step begins, and where the same command goes on if it cannot be done."""
-        from edge.core.errors import GelgateError
-
         started = time.monotonic()
         typer.echo(f"\n{STEPS.index(title) + 1} of {len(STEPS)}: {title}")
         try:
@@ -159,7 +156,6 @@ class _Guide:
     def ask(self, question: str, default: str, read: Callable[[str], T]) -> T:
         """Return what is read of the answer, or of the default; ask again where reading is a ValueError. Errors:
         ConfigError where nobody can answer."""
-        from edge.core.errors import ConfigError
 
         def take(answer: str) -> T:
             try:
@@ -198,12 +194,9 @@ class _Guide:
 
 
 def _take_presses(
-    guide: _Guide, loaded: "Config", config: Path, bundle: Path, part: str, position: str, promise: float
+    guide: _Guide, loaded: Config, config: Path, bundle: Path, part: str, position: str, promise: float
 ) -> Callable[[], None]:
     """Take presses until they are enough; return what fits them. Errors: FitError where they promise too little."""
-    from calibration.acquisition.arguments import AcquireArguments
-    from calibration.acquisition.command import fit_now, summarise, take_presses
-    from edge.core.errors import FitError
     from edge.gateway.opening import played_recording
     from edge.recording.format import Recording
 
@@ -238,11 +231,6 @@ def _find_sensor(
     guide: _Guide, device: str | None, option: Sequence[str]
 ) -> tuple[str, Mapping[str, object]]:
     """Return the plugin of the sensor that is plugged in, and its options. Errors: ConfigError, DeviceNotFound."""
-    from edge import registry
-    from edge.cli.arguments import parse_values, plugin_options
-    from edge.config import root_options
-    from edge.core.errors import ConfigError, DeviceNotFound
-
     if option and device is None:
         raise ConfigError("--option belongs to one plugin; name it with --device")
     sensors, refused = [], []
@@ -271,8 +259,6 @@ def _find_sensor(
 
 def _write_station(guide: _Guide, config: Path, plugin: str, options: Mapping[str, object]) -> None:
     """Write a configuration with this sensor, the page, and a broker if one is named. Errors: ConfigError, OSError."""
-    from calibration.folders import write_whole
-
     table = ", ".join(f"{key} = {_toml(value)}" for key, value in options.items())
     text = STATION.format(plugin=_toml(plugin), options=f"{{ {table} }}", port=_free_port())
     broker = guide.ask("MQTT broker, as host or host:port", "none", _read_broker)
@@ -316,8 +302,6 @@ def _free_port() -> int:
 
 def _name_bundle(part: str) -> str:
     """Name the folder of a part's bundle. Errors: ConfigError."""
-    from edge.core.errors import ConfigError
-
     name = "-".join(word for word in part.split("/", 1) if word)
     if not name.strip(". ") or Path(name).name != name or not name.isprintable():
         raise ConfigError(
@@ -326,10 +310,8 @@ def _name_bundle(part: str) -> str:
     return name
 
 
-def _bundle_path(loaded: "Config", config: Path, name: str) -> Path:
+def _bundle_path(loaded: Config, config: Path, name: str) -> Path:
     """Return where the station looks for the bundle of this name. Errors: ConfigError."""
-    from edge.core.errors import ConfigError
-
     table = loaded.inspection
     if table.bundle_folder is not None:
         return table.bundle_folder / name

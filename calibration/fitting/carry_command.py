@@ -1,8 +1,10 @@
 """`gelgate bundle carry`: a bundle and a few presses on a new gel in, the bundle for that gel out."""
 
+import datetime
 from dataclasses import dataclass
 from pathlib import Path
 
+from calibration.fitting.command import refuse_existing, summarise, write
 from calibration.fitting.options import (
     GelId,
     LeaveOut,
@@ -45,10 +47,7 @@ def carry(given: CarryArguments) -> None:
     Bank and graphs stay; limit, free gel, colours and golden frames are those of the new gel. The promise of the limit
     is that of the few presses: `gelgate gel prove` shows more, and a new fit promises more.
     """
-    import datetime
-
     from calibration.fitting.carry import CarryConfig, carry_bundle
-    from calibration.fitting.command import refuse_existing, summarise, write
     from calibration.fitting.presses.nominal_presses import read_presses
     from edge.model.bundle import Bundle
 

@@ -1,5 +1,6 @@
 """`gelgate fit`: nominal presses in, a bundle out."""
 
+import datetime
 import errno
 import os
 import tempfile
@@ -33,9 +34,15 @@ from calibration.fitting.options import (
     Threshold,
     under_set,
 )
-from calibration.fitting.trunks import DEFAULT_BACKBONE
+from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
+from calibration.progress import Stages
+from edge import registry
 from edge.cli.arguments import add_argument, add_option, flatten, parse_values
+from edge.core.errors import BundleError, ConfigError, FitError, StoreError
+from edge.core.imaging.known_profiles import profile
 from edge.core.printable import write_count
+from edge.core.suggest import suggestion
+from edge.model.archive import MANIFEST, open_archive
 
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
@@ -113,7 +120,6 @@ def fit(given: FitArguments) -> None:
     presses of one part and position are learnt.
     """
     from calibration.fitting.fit import fit_files
-    from edge.core.errors import FitError
 
     refuse_existing(given.output, given.overwrite)
     presses, config = plan_fit(given)
@@ -191,8 +197,6 @@ def _asked_for(given: FitArguments) -> dict[str, object]:
 
 def _check_word(option: str, word: str, known: Sequence[str]) -> Any:
     """Return the word of an option. Errors: ConfigError for an unknown one."""
-    from edge.core.errors import ConfigError
-
     if word not in known:
         raise ConfigError(f"--set {option} is {', '.join(known[:-1])} or {known[-1]}, found '{word}'")
     return word
@@ -200,11 +204,6 @@ def _check_word(option: str, word: str, known: Sequence[str]) -> Any:
 
 def _detection(given: FitArguments) -> dict[str, Any]:
     """Open the detector, with its parameters and its trunk, for `FitConfig`. Errors: ConfigError, FitError."""
-    from calibration.fitting.trunks import open_trunk
-    from edge import registry
-    from edge.core.errors import ConfigError
-    from edge.core.suggest import suggestion
-
     mode, settings = _check_word("mode", given.mode, ("corrected", "paper")), given.settings or []
     detector, overrides = registry.detector(given.method), parse_values("--set", settings)
     fields: dict[str, object] = {}  # none where a detector's parameters keep them otherwise
@@ -245,9 +244,6 @@ def resolve_sources(
 
 def make(work: "Callable[..., Fitted]", output: Path, overwrite: bool) -> None:
     """Do the work under progress bars, write the bundle and print a summary. work: takes created and report."""
-    import datetime
-
-    from calibration.progress import Stages
 
     with Stages() as report:
         fitted = work(created=datetime.date.today().isoformat(), report=report)
@@ -258,9 +254,6 @@ def make(work: "Callable[..., Fitted]", output: Path, overwrite: bool) -> None:
 def refuse_existing(output: Path, overwrite: bool, *, is_bundle: bool = True) -> None:
     """Check before any work that nothing is overwritten, and there is a folder to write in. is_bundle: what is written
     is one, and no other file. Errors: ConfigError."""
-    from edge.core.errors import ConfigError
-    from edge.model.archive import MANIFEST
-
     if os.path.isdir(output) and os.listdir(output) and not os.path.isfile(output / MANIFEST):
         raise ConfigError(
             f"{output} is a folder that holds no bundle, and is not replaced; choose another name"
@@ -280,8 +273,6 @@ def refuse_existing(output: Path, overwrite: bool, *, is_bundle: bool = True) ->
 
 def next_revision(output: Path) -> int:
     """Return one more than the revision of the bundle that is replaced; 1 where none can be read."""
-    from edge.core.errors import BundleError
-    from edge.model.archive import MANIFEST, open_archive
     from edge.model.bundle import MAX_MANIFEST_BYTES, parse_manifest
 
     try:
@@ -293,7 +284,6 @@ def next_revision(output: Path) -> int:
 
 def write(fitted: "Fitted", output: Path, overwrite: bool) -> None:
     """Write the bundle. Errors: StoreError with what to do."""
-    from edge.core.errors import StoreError
     from edge.model.bundle_writer import write_bundle
 
     try:
@@ -308,8 +298,6 @@ def write(fitted: "Fitted", output: Path, overwrite: bool) -> None:
 def choose_profile(name: str, sources: list[Path]) -> "SensorProfile":
     """Return the requested profile, or the one that all recordings among the sources name."""
     from calibration.fitting.presses.nominal_presses import is_recording
-    from edge.core.errors import ConfigError
-    from edge.core.imaging.known_profiles import profile
     from edge.recording.format import Recording
 
     if name:

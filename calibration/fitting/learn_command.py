@@ -1,5 +1,7 @@
 """`gelgate bundle learn`: a bundle, its nominal presses and what people said at the station in, a new bundle out."""
 
+import tempfile
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -8,19 +10,23 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from calibration.fitting.command import make, refuse_existing
 from calibration.fitting.options import GelId, LeaveOut, NoContact, Output, Overwrite, Threads
+from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
+from calibration.fitting.presses.sources import check_present
+from calibration.progress import Report
 from edge.cli.arguments import add_argument, add_option, flatten
-from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
+from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
+from edge.core.errors import FitError, StoreError
+from edge.core.part_position import PartPosition
 from edge.core.printable import write_count
+from edge.model.bundle import Bundle
+from edge.model.manifest_facts import share_found
 
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
     from calibration.fitting.fit_config import FitConfig
     from calibration.fitting.learn import Comparison, ConfirmedPress, ConfirmedPresses
-    from calibration.fitting.presses.nominal_presses import NominalPresses
-    from edge.core.errors import FitError
-    from edge.core.part_position import PartPosition
-    from edge.model.bundle import Bundle
 
 __all__ = ["learn", "warn_of_lost"]
 
@@ -56,19 +62,10 @@ def learn(given: LearnArguments) -> None:
     is not written where that costs too much, or where it fails more good presses. Try it as a shadow
     (docs/operations.md).
     """
-    import tempfile
-
-    from calibration.fitting.command import make, refuse_existing
     from calibration.fitting.fit import Fitted, fit_files
     from calibration.fitting.fit_again import configure_again, read_again
     from calibration.fitting.learn import write_pictures
-    from calibration.fitting.presses.sources import check_present
     from calibration.fitting.regions.drawing import draw_again
-    from calibration.progress import Report
-    from edge.cli.options import database_path
-    from edge.core.errors import FitError
-    from edge.core.part_position import PartPosition
-    from edge.model.bundle import Bundle
 
     refuse_existing(given.output, given.overwrite)
     check_present(given.sources)
@@ -110,7 +107,7 @@ def learn(given: LearnArguments) -> None:
 
 
 def _compare(
-    old: "Bundle", fitted: "Fitted", confirmed: "ConfirmedPresses", database: Path, threads: int
+    old: Bundle, fitted: "Fitted", confirmed: "ConfirmedPresses", database: Path, threads: int
 ) -> "Comparison":
     """Judge the presses that people spoke of by both bundles, and say what they make of them."""
     from calibration.fitting.learn import compare
@@ -123,14 +120,13 @@ def _compare(
 def _teach_lost(
     fitted: "Fitted",
     comparison: "Comparison",
-    presses: "NominalPresses",
+    presses: NominalPresses,
     config: "FitConfig",
     created: str,
 ) -> "Fitted | None":
     """Teach the new bundle the damage that it loses, at its places; None where it loses none, and where that cannot be
     or costs too much, which is said."""
     from calibration.fitting.teach import BEARABLE, Lesson, lower_place
-    from edge.core.errors import FitError
 
     if not comparison.lost:
         return None
@@ -150,23 +146,20 @@ def _teach_lost(
     return remedy.fitted if is_bearable else None
 
 
-def _read_pictures(presses: "Sequence[ConfirmedPress]", bundle: "Bundle") -> "NominalPresses":
+def _read_pictures(presses: "Sequence[ConfirmedPress]", bundle: Bundle) -> NominalPresses:
     """Read archived presses as pictures of the region, with their ids for names."""
-    import tempfile
-
     from calibration.fitting.learn import write_picture
-    from calibration.fitting.presses.nominal_presses import read_presses
 
     with tempfile.TemporaryDirectory() as folder:
         files = [write_picture(one.press, one.frame, Path(folder)) for one in presses]
         return _with_stems(read_presses(files, bundle.profile, bundle.region))
 
 
-def _with_stems(presses: "NominalPresses") -> "NominalPresses":
+def _with_stems(presses: NominalPresses) -> NominalPresses:
     return replace(presses, names=tuple(Path(name).stem for name in presses.names))
 
 
-def _name_alike(old: "Bundle", comparison: "Comparison", good: "NominalPresses", threads: int) -> list[str]:
+def _name_alike(old: Bundle, comparison: "Comparison", good: NominalPresses, threads: int) -> list[str]:
     """Say of each lost damage which of the learnt presses resembles it most: one of the two words may be wrong."""
     from calibration.fitting.learn import MOST_NAMED
     from calibration.fitting.teach import name_alike
@@ -177,12 +170,9 @@ def _name_alike(old: "Bundle", comparison: "Comparison", good: "NominalPresses",
     return name_alike(old, _read_pictures(lost, old), _with_stems(good), threads)
 
 
-def _ask_again(error: "FitError", comparison: "Comparison", database: Path) -> "FitError":
+def _ask_again(error: FitError, comparison: "Comparison", database: Path) -> FitError:
     """Have the station ask once more about the presses that stand against the new bundle; return the error that says
     so. A copy of a station's database is asked too, where it can be written."""
-    import time
-
-    from edge.core.errors import FitError, StoreError
     from edge.store.person_verdicts import ask_again
     from edge.store.press_store import Store
 
@@ -195,10 +185,9 @@ def _ask_again(error: "FitError", comparison: "Comparison", database: Path) -> "
     return FitError(f"{error}; {said}") if said else error
 
 
-def _read_words(database: Path, part: "PartPosition", old: "Bundle") -> "ConfirmedPresses":
+def _read_words(database: Path, part: PartPosition, old: Bundle) -> "ConfirmedPresses":
     """Read what people said of a part, and say what of it is left out. Errors: FitError where nothing can be learnt."""
     from calibration.fitting.learn import read_confirmed, score_refused
-    from edge.core.errors import FitError
     from edge.model.scorer import Scorer
 
     confirmed = read_confirmed(database, part, old.digest, partial(score_refused, Scorer(old)))
@@ -215,7 +204,7 @@ def _read_words(database: Path, part: "PartPosition", old: "Bundle") -> "Confirm
     return confirmed
 
 
-def warn_of_lost(old: "Bundle") -> None:
+def warn_of_lost(old: Bundle) -> None:
     """Warn where the old bundle was taught damage, which the new one has to be taught again."""
     taught = [name for one in old.manifest.facts.get("taught", ()) for name in one["presses"]]
     if taught:
@@ -227,8 +216,6 @@ def warn_of_lost(old: "Bundle") -> None:
 
 def _warn_of_fewer_found(old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
     """Warn where the new bundle finds less of the damage that a fit renders. old, new: the facts of their manifests."""
-    from edge.model.manifest_facts import share_found
-
     before, now = share_found(old), share_found(new)
     if before is not None and now is not None and now < _FEWER * before:
         typer.echo(
@@ -239,7 +226,7 @@ def _warn_of_fewer_found(old: Mapping[str, Any], new: Mapping[str, Any]) -> None
         )
 
 
-def _warn_without_gel(old: "Bundle", presses: "NominalPresses") -> None:
+def _warn_without_gel(old: Bundle, presses: NominalPresses) -> None:
     """Warn where the old bundle knew the free gel, and the new one will not."""
     if old.free_view is not None and presses.free_view is None:
         typer.echo(

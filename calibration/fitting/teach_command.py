@@ -1,5 +1,7 @@
 """`gelgate bundle teach`: damage that passed in, what would find it and its cost out, and a bundle that does."""
 
+import datetime
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -7,10 +9,18 @@ from typing import TYPE_CHECKING, Final
 
 import typer
 
+from calibration.fitting.command import refuse_existing, summarise, write
 from calibration.fitting.options import LeaveOut, NoContact, Overwrite, Threads
+from calibration.fitting.presses.nominal_presses import read_presses
+from calibration.fitting.trunks import open_trunk
+from edge import registry
 from edge.cli.arguments import add_argument, add_option, flatten
-from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
+from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
+from edge.core.errors import ConfigError, FitError
+from edge.core.part_position import PartPosition
 from edge.core.printable import write_count
+from edge.core.suggest import suggestion
+from edge.model.bundle import Bundle
 
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
@@ -18,7 +28,6 @@ if TYPE_CHECKING:
     from calibration.fitting.learn import ConfirmedPresses
     from calibration.fitting.teach import Lesson, Remedy
     from edge.core.press import Press
-    from edge.model.bundle import Bundle
 
 __all__ = ["teach"]
 
@@ -59,13 +68,7 @@ def teach(given: TeachArguments) -> None:
     Shows what would find each damaged press: a lower limit, a lower limit at its place, or another method; and what
     that costs, on nominal presses by banks without them and on the archived presses of the station. --take writes one.
     """
-    import tempfile
-
-    from calibration.fitting.command import refuse_existing, summarise, write
     from calibration.fitting.learn_command import warn_of_lost
-    from edge.core.errors import ConfigError, FitError
-    from edge.core.suggest import suggestion
-    from edge.model.bundle import Bundle
 
     if (given.take is None) != (given.output is None):
         raise ConfigError("--take says what is written, and --output where; give both, or none to look first")
@@ -107,8 +110,6 @@ def teach(given: TeachArguments) -> None:
 
 def _find_database(given: TeachArguments) -> Path | None:
     """Find the station's database; None where only pictures are given and there is no station."""
-    from edge.cli.options import database_path
-
     is_asked = given.database is not None or given.config.is_file()
     needs_it = not all(Path(one).is_file() for one in given.damaged)
     if is_asked or needs_it:
@@ -117,10 +118,9 @@ def _find_database(given: TeachArguments) -> Path | None:
     return None
 
 
-def _read_operation(old: "Bundle", database: Path | None) -> "ConfirmedPresses":
+def _read_operation(old: Bundle, database: Path | None) -> "ConfirmedPresses":
     """Read what people said, and the newest archived presses of the part."""
     from calibration.fitting.learn import ConfirmedPresses, read_confirmed
-    from edge.core.part_position import PartPosition
 
     if database is None:
         return ConfirmedPresses()
@@ -128,15 +128,11 @@ def _read_operation(old: "Bundle", database: Path | None) -> "ConfirmedPresses":
 
 
 def _prepare(
-    given: TeachArguments, old: "Bundle", folder: Path, database: Path | None, confirmed: "ConfirmedPresses"
+    given: TeachArguments, old: Bundle, folder: Path, database: Path | None, confirmed: "ConfirmedPresses"
 ) -> "Lesson":
     """Read the nominal and the damaged presses. Errors: FitError for a press that people call good."""
-    import datetime
-
     from calibration.fitting.fit_again import configure_again, read_again
-    from calibration.fitting.presses.nominal_presses import read_presses
     from calibration.fitting.teach import Lesson
-    from edge.core.errors import FitError
 
     good = {one.press.press_id: one.describe() for one in confirmed.good}
     if called := [good[one] for one in given.damaged if one in good]:
@@ -202,9 +198,6 @@ def _fit_method(lesson: "Lesson", name: str) -> "Fitted":
 
 
 def _with_method(config: "FitConfig", name: str) -> "FitConfig":
-    from calibration.fitting.trunks import open_trunk
-    from edge import registry
-
     detector = registry.detector(name)
     trunk = open_trunk(config.trunk.id, detector.taps(detector.parameters(config.mode)))
     return replace(config, detector=detector, trunk=trunk, overrides={})
@@ -228,7 +221,7 @@ def _describe(lesson: "Lesson", remedies: Mapping[str, "Remedy"]) -> None:
 
 
 def _judge(
-    bundle: "Bundle", confirmed: "ConfirmedPresses", database: Path | None, threads: int
+    bundle: Bundle, confirmed: "ConfirmedPresses", database: Path | None, threads: int
 ) -> "dict[str, Press]":
     from calibration.fitting.learn import judge_presses
 

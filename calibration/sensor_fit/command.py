@@ -9,6 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calibration.fitting.options import NoContact, Pattern, Resize
+from calibration.folders import write_atomically
+from calibration.progress import Stages
+from edge.core.errors import ConfigError
+from edge.core.imaging.known_profiles import profile
 
 if TYPE_CHECKING:
     from calibration.fitting.presses.nominal_presses import NominalPresses
@@ -56,9 +60,6 @@ def calibrate(
     reads the file.
     """
     from calibration.fitting.presses.nominal_presses import read_presses
-    from calibration.progress import Stages
-    from edge.core.errors import ConfigError
-    from edge.core.imaging.known_profiles import profile
     from edge.core.imaging.region import Region
 
     if is_heights == is_simulator:
@@ -85,7 +86,6 @@ def _heights(
     serial: str | None,
     say: "Progress",
 ) -> None:
-    from calibration.folders import write_atomically
     from calibration.sensor_fit.heights import calibrate_heights
     from edge.heights.files import write_calibration
 
@@ -123,7 +123,6 @@ def _simulator(
 ) -> None:
     import cv2
 
-    from calibration.folders import write_atomically
     from calibration.sensor_fit.calibrate import calibrate_sensor
     from calibration.sensor_fit.result import calibration_sheet
     from calibration.simulator.field_of_view import LR
@@ -138,8 +137,6 @@ def _simulator(
 
 def _check_output(output: Path, sheet: Path | None, overwrite: bool) -> None:
     """Errors: ConfigError before any work is done."""
-    from edge.core.errors import ConfigError
-
     if output.suffix != ".toml":
         raise ConfigError(f"a sensor's file ends in .toml, found '{output.name}'")
     for path in (output, sheet):

@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calibration.progress import Stages
+from edge.core.errors import ConfigError
+
 if TYPE_CHECKING:
     from calibration.simulator.scene import Scene
 
@@ -107,9 +110,7 @@ def simulate(
 def _dataset(
     scenes: "list[Scene]", output: Path, seed: int, presses: int | None, run: str, workers: int
 ) -> None:
-    from calibration.progress import Stages
     from calibration.simulator.dataset_writer import simulate_dataset
-    from edge.core.errors import ConfigError
 
     if run:
         raise ConfigError(f"scene '{scenes[0].name}' describes a dataset, which has no runs; leave --run out")
@@ -122,7 +123,6 @@ def _dataset(
 def _recordings(
     scene: "Scene", output: Path, seed: int, presses: int | None, only: str, workers: int
 ) -> None:
-    from calibration.progress import Stages
     from calibration.simulator.record import simulate_recording
 
     for name in [only] if only else [run.name for run in scene.runs]:

@@ -1,14 +1,18 @@
 """`gelgate bundle regions`: a bundle and what a person draws on its part in, a new revision of the bundle out."""
 
+import datetime
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
+from calibration.fitting.command import refuse_existing, write
 from calibration.fitting.options import LeaveOut, NoContact, Overwrite, Threads
 from edge.cli.arguments import add_argument, add_option, flatten
+from edge.core.errors import ConfigError
 from edge.core.printable import write_count
+from edge.core.suggest import suggestion
 
 if TYPE_CHECKING:
     from edge.core.drawn_regions import DrawnRegion
@@ -51,9 +55,7 @@ def regions(given: RegionsArguments) -> None:
     score map is weighed by the regions before the verdict, and with registration they follow the part. The new bundle
     is not signed.
     """
-    from calibration.fitting.command import refuse_existing, write
     from calibration.fitting.regions.drawing import draw_regions, write_regions
-    from edge.core.errors import ConfigError
     from edge.model.bundle import Bundle
     from edge.model.manifest_facts import promise
 
@@ -78,8 +80,6 @@ def regions(given: RegionsArguments) -> None:
 def _change(given: RegionsArguments, old: "Bundle") -> list["DrawnRegion"]:
     """Return the regions that the bundle is to have. Errors: ConfigError."""
     from calibration.fitting.regions.drawing import parse_region, read_regions
-    from edge.core.errors import ConfigError
-    from edge.core.suggest import suggestion
 
     kept = {one.name: one for one in (old.manifest.regions.regions if old.manifest.regions else ())}
     for name in given.remove or ():
@@ -96,11 +96,8 @@ def _find_promise(
 ) -> "ThresholdEntry | None":
     """Find what the limit promises where a place is judged more strictly; None where its promise holds. Errors:
     FitError, ConfigError without the nominal presses."""
-    import datetime
-
     from calibration.fitting.fit_again import configure_again, read_again
     from calibration.fitting.regions.drawing import find_promise, is_stricter
-    from edge.core.errors import ConfigError
 
     if not is_stricter(old, wanted):
         return None
