@@ -119,8 +119,6 @@ class InspectionSession:
     def feed(self, frame: CameraFrame) -> None:
         """Look at one camera frame; a press that it decides waits to be recorded."""
         look = self._detector.feed(frame)
-        if self._detector.newest is not None and not self.has_contact:
-            self.inspector.warm_up(self._detector.newest)  # frames of the free gel are learnt meanwhile
         presses = self._judge_all(look.events)
         for stage in self._stages:
             stage.look(look)
@@ -280,6 +278,8 @@ class InspectionSession:
             case ReferenceCorrected():
                 self._references.forget(self.gel.serial, self.gel.gel_id, "first", "last")
             case ReferenceReady():
+                if self._detector.newest is not None:
+                    self.inspector.warm_up(self._detector.newest)
                 self._status.clear_fault("free_gel")
                 self._status.set_waiting_for(None)
                 self._compare_light()
