@@ -28,6 +28,10 @@ MARKERS = {
     "docs/test_studies.py": "lab",
     "experiments": "lab",
     "sensor_fit": "lab",
+    "simulator/test_interrupt.py": "lab",
+    "simulator/test_output.py": "lab",
+    "simulator/test_resume.py": "lab",
+    "simulator/test_same_bytes.py": "lab",
     "soak": "lab",
     "training": "train",
 }

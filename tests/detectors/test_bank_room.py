@@ -61,8 +61,7 @@ def test_no_place_at_all_gives_no_rows() -> None:
 
 
 @pytest.mark.parametrize("method", ["inreach", "patchcore"])
-@pytest.mark.parametrize("seed", range(3))
-def test_a_corner_that_every_press_has_is_in_the_bank(method: str, seed: int) -> None:
+def test_a_corner_that_every_press_has_is_in_the_bank(method: str) -> None:
     """One untouched cell of 12,544 looks like no other; a press scores no higher there than anywhere."""
     maps = np.abs(np.random.default_rng(9).normal(1, 0.1, (4, 16, 112, 112))).astype(np.float32)
     maps[:, ::2, -1, -1] += 4
@@ -72,6 +71,6 @@ def test_a_corner_that_every_press_has_is_in_the_bank(method: str, seed: int) ->
     grid = Grid((448, 448), {"layer1": (16, 112, 112)}, GRID.pixels_per_mm)
     parameters = detector.parameters(sigma=0.0, dims=None)
     nominal = Nominal({"layer1": maps}, touched)
-    bank = detector.fit(nominal, grid, parameters, np.random.default_rng(seed), lambda done: None)
+    bank = detector.fit(nominal, grid, parameters, np.random.default_rng(0), lambda done: None)
     score_map = detector.reference_score({"layer1": maps[:1]}, grid, bank, parameters).score_map[0]
     assert score_map[-3:, -3:].max() <= 1.2 * score_map[:-8, :-8].max()

@@ -128,7 +128,6 @@ def test_a_bundle_that_loses_a_known_damage_is_not_written(station: Judged) -> N
     assert f"mm, where it stands out most, and the sound press {ids[2]} " in done.sentence()
     assert f"the station asks once more what {ids[4]} is" in done.sentence()
     assert not (station.new).exists()
-    assert "asks once more" not in learn(station).sentence()  # once ever
 
 
 def test_a_damage_that_the_new_limit_passes_is_taught_at_its_place(
@@ -177,7 +176,7 @@ def test_a_damage_that_somebody_else_calls_good_does_not_change_unsaid(station: 
 def test_a_damage_that_the_station_found_is_not_lost_by_a_bundle_that_passes_it(station: Judged) -> None:
     """The bundle that is given is not the one that judged."""
     folder, ids = station.folder, station.ids
-    fit(station.nominal, folder / "other", "--set", "threshold=1000")
+    variant(station.old, folder / "other", threshold={"value": 1000.0})
     station.say({2: "good", 4: "damaged"})
 
     done = learn(station, bundle=folder / "other")

@@ -9,7 +9,6 @@ from pressed_dome import PROFILE, REGION, dome_config, dome_presses
 from calibration.fitting.damage.damaged_presses import SIZE_SHARES, SPOTS, render_damage
 from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from edge.core.contact.mask import Touch
 from edge.model.manifest_facts import LIMIT, MISSING, choice_sentence
 from edge.model.scorer import Scorer
 
@@ -86,11 +85,3 @@ def test_unlike_presses_are_told_in_units_of_their_limit(presses: NominalPresses
     scored = Scorer(fitted.bundle(), 1).score(unlike(presses).frames[0])
     assert scored.anomaly_score == pytest.approx(float(scored.score_map.max()))
     assert scored.anomaly_score <= max(manifest.threshold.nominal_scores) + 1e-3
-
-
-def test_presses_that_lie_anywhere_have_no_range_by_place(presses: NominalPresses, config: FitConfig) -> None:
-    """Where contacts scatter by more than 3 mm places are not compared."""
-    apart = tuple(Touch(0.1, 0.2 + 0.08 * k, 0.5) for k in range(8))
-    scattered = replace(config, is_scattered=True)
-    fitted = fit_files(replace(presses, touches=apart), scattered, created="")
-    assert not [kind for kind in fitted.manifest.facts["limit"]["found"] if "place" in kind]

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from simulation.bundles import both_bundles
 from simulation.chosen import Chosen, Fault
-from simulation.conditions import SOMETIMES
 from simulation.failed import FAILED
 from simulation.planted import ROOT
 from simulation.planted_bugs import BUGS, Bug
@@ -120,7 +119,3 @@ def test_a_bug_can_be_planted(bug: Bug) -> None:
     """Its text is in the program, once; `make sim-planted` finds it."""
     assert (ROOT / bug.file).read_text(encoding="utf-8").count(bug.old) == 1
     assert bug.new != bug.old
-
-
-def test_the_conditions_have_names_of_their_own() -> None:
-    assert len(set(SOMETIMES)) == len(SOMETIMES) >= 60

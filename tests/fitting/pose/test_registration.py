@@ -230,7 +230,12 @@ def test_what_is_stored_is_what_was_learnt() -> None:
 
 @pytest.mark.parametrize(
     ("part", "symmetry"),
-    [(parts.BLOCK, 1), (parts.KEYED, 1), *((parts.ring(n), n) for n in (2, 6)), (parts.BALL, 0)],
+    [
+        (parts.BLOCK, 1),
+        pytest.param(parts.KEYED, 1, marks=pytest.mark.lab),
+        *((parts.ring(n), n) for n in (2, 6)),
+        (parts.BALL, 0),
+    ],
     ids=["block", "keyed", "2", "6", "ball"],
 )
 def test_how_often_a_part_looks_the_same_in_a_turn(part: parts.Bumps, symmetry: int) -> None:
@@ -247,6 +252,7 @@ def test_how_often_a_part_looks_the_same_in_a_turn(part: parts.Bumps, symmetry: 
         assert all(abs(one.turn_rad or 0) <= np.pi / symmetry for one in learnt.registered)
 
 
+@pytest.mark.lab
 def test_one_asymmetric_damage_among_nominal_presses_of_a_symmetric_part_is_named() -> None:
     """The part keeps its symmetry, and the press stands apart."""
     poses, presses = parts.anywhere(parts.CROSS, 10)
