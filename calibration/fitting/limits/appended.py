@@ -2,7 +2,7 @@
 regions.
 
 Their arrays are further arrays of the bank, so the gateway, the exports and other programs score such a bundle as any
-other. The same arithmetic in NumPy is `map_limit.relate` and `relief_step.map_missing`.
+other. The same arithmetic in NumPy is `map_limit.relate` and `relief_step.find_missing`.
 """
 
 import re

@@ -47,7 +47,6 @@ __all__ = [
     "contact_of",
     "find_missing",
     "finest_tap",
-    "map_missing",
     "pool",
     "try_relief",
 ]
@@ -60,8 +59,6 @@ Relief = Mapping[str, NDArray[Any]]
 (they bring cells to the score map), and the numbers `_level`, `_weakest` and `_unit` (the score at the limit), (1, 1).
 """
 
-# The map begins to show below the limit, at this share of it, and is complete at the limit, ten times steeper.
-_START, _STEEPNESS = 0.9, 10.0
 # No contact at all is this many times and one beyond the limit: a quotient needs an end.
 _FAINT = 10.0
 # A sum that is 0 has no peak to divide by.
@@ -107,19 +104,6 @@ def find_missing(relief: Relief, features: Floating) -> F64:
     weakest = relief["relief_weakest"].item()
     smooth = lack * presses.contact / (presses.contact + weakest)
     return np.asarray(np.maximum(smooth, (_FAINT + 1) * weakest / (_FAINT * presses.contact + weakest)))
-
-
-def map_missing(relief: Relief, features: Floating) -> F64:
-    """Map where relief is missing, in units of the bundle's scores, float64 (n, h, w); 0 where little is."""
-    touch = contact_of(features, relief["relief_free"], float(relief["relief_level"].item()))
-    lack = np.einsum("nchw,c->nhw", features.astype(np.float64), relief["relief_weights"][0, :, 0, 0])
-    lacking = touch * (lack + relief["relief_middle"])
-    places = np.maximum(lacking, 0) + np.maximum(relief["relief_expected"] - touch, 0)
-    shown = relief["relief_rows"] @ places @ relief["relief_columns"]
-    missing = find_missing(relief, features)
-    height = relief["relief_unit"].item() * missing * np.clip(_STEEPNESS * (missing - _START), 0, 1)
-    peak = shown.max(axis=(1, 2)) + _TINY
-    return np.asarray((height / peak)[:, None, None] * shown)
 
 
 USEFUL = 0.6

@@ -17,8 +17,7 @@ SIZE = (320, 240)
 REGION = Region.centre(SIZE)
 SCALE = (0.0634, 0.0634)
 FREE = np.full((120, 160, 3), 120, np.float32)
-# The same place: rows and columns of the 224x224 map, and of the 160x120 view.
-IN_MAP = (slice(100, 116), slice(104, 120))
+# Rows and columns of the 160x120 view.
 IN_VIEW = (slice(54, 62), slice(76, 84))
 
 

@@ -5,7 +5,7 @@ import onnxruntime as ort
 import pytest
 
 from calibration.fitting.limits.appended import append
-from calibration.fitting.limits.relief_step import contact_of, find_missing, map_missing, pool
+from calibration.fitting.limits.relief_step import contact_of, find_missing, pool
 from edge.core.detector import Bank
 from edge.core.errors import FitError
 from plugins.detectors.common.smoothing import upsampling_matrix
@@ -65,6 +65,18 @@ def test_a_faint_press_fails() -> None:
     """Without contact eleven times the limit, with the weakest one allowed the limit."""
     assert find_missing(RELIEF, press()) == pytest.approx([11])
     assert find_missing(RELIEF, press(((0, 0), ROUGH), ((1, 1), ROUGH))) == pytest.approx([1])
+
+
+def map_missing(relief: dict[str, np.ndarray], features: np.ndarray) -> np.ndarray:
+    """The map as it must be, float64 (n, h, w): from nine tenths of the limit on, its peak what is missing."""
+    touch = contact_of(features, relief["relief_free"], float(relief["relief_level"].item()))
+    lack = np.einsum("nchw,c->nhw", features.astype(np.float64), relief["relief_weights"][0, :, 0, 0])
+    lacking = np.maximum(touch * (lack + relief["relief_middle"]), 0)
+    places = lacking + np.maximum(relief["relief_expected"] - touch, 0)
+    shown = relief["relief_rows"] @ places @ relief["relief_columns"]
+    missing = find_missing(relief, features)
+    height = relief["relief_unit"].item() * missing * np.clip(10 * (missing - 0.9), 0, 1)
+    return np.asarray((height / (shown.max(axis=(1, 2)) + 1e-12))[:, None, None] * shown)
 
 
 def test_the_map_shows_what_is_missing_and_nothing_of_a_sound_press() -> None:
