@@ -61,7 +61,7 @@ def running(tmp_path: Path, bundle: Path) -> Iterator[tuple[StationLoop, dict[st
             thread.join()
 
 
-@pytest.mark.parametrize(("by", "page"), [("mouse", "station"), ("finger", "station"), ("mouse", "broker")])
+@pytest.mark.parametrize(("by", "page"), [("mouse", "station"), ("finger", "broker")])
 def test_a_region_is_drawn_over_the_last_press(
     browser: Any, running: tuple[StationLoop, dict[str, int], Path], by: str, page: str
 ) -> None:
