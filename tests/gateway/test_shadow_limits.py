@@ -175,6 +175,7 @@ def test_a_shadow_that_holds_up_verdicts_is_left_out(
         assert len(calls) == 4
         assert "is left out, for it took 1.2 s, at most 1.0 s are allowed" in station.alarm("shadow")
     assert [one.shadow is not None for one in station.results] == [True] * 4 + [False] * 3
+    assert [one.latency_ms.get("shadow") for one in station.results] == [1200, 900, 1200, 1200, *[None] * 3]
     assert station.verdicts == ["pass"] * 7
 
 

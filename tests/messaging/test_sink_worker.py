@@ -96,7 +96,7 @@ def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
         assert sink.topics()[-1] == "state"
         assert pauses[-1] > 10 * pauses[0]
         assert [line.levelname for line in caplog.records if line.levelname != "INFO"] == ["ERROR"]
-        assert one.counters.is_up
+        assert (one.counters.is_up, one.counters.failed) == (True, 9)
 
         outbox.is_full = False
         drain(one)

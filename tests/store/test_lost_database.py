@@ -13,6 +13,7 @@ from sql import execute
 from edge.core.errors import StoreError
 from edge.core.gel_life import LONGEST_ID, GelLabel
 from edge.core.ports import Message
+from edge.store.integrity import check_database
 from edge.store.outbox import Outbox
 from edge.store.press_counts import COPY_BYTES, Count, PressCounts
 from edge.store.press_store import Store
@@ -34,7 +35,8 @@ def remove(path: Path) -> None:
 
 @pytest.mark.parametrize("loss", ["removed", "emptied", "an older copy"])
 def test_a_gel_goes_on_counting_and_the_loss_is_reported(path: Path, tmp_path: Path, loss: str) -> None:
-    """The count, the gel's id and the numbers of presses go on; one sentence says what is missing."""
+    """The count, the gel's id and the numbers of presses go on; one sentence says what is missing. What is left is
+    sound."""
     record(path, 1)
     shutil.copy(path, tmp_path / "old.db")
     record(path, 2, 3)
@@ -55,6 +57,7 @@ def test_a_gel_goes_on_counting_and_the_loss_is_reported(path: Path, tmp_path: P
     first = 2 if loss == "an older copy" else 1
     assert f"presses {first} to 3 are missing" in finding
     assert "goes on from 3 presses" in finding
+    assert [one.text for one in check_database(path) if one.is_fault] == []
 
 
 def test_no_gel_gets_the_id_of_one_before_the_loss(path: Path) -> None:
