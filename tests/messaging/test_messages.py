@@ -14,6 +14,8 @@ from edge.core.ports import Message
 from edge.core.sink_context import Place, Station, topic_level
 from edge.gateway.commands import Change, CommandPolicy, Commands
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared
+from edge.messaging.descriptions.asyncapi import asyncapi_message
+from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.payload_base import as_replayed, iso_time
 from edge.messaging.result_payload import PressFiles, ResultPayload, picture_messages, press_messages
 from edge.messaging.topics import TOPICS
@@ -24,10 +26,12 @@ FILES = PressFiles(b"\xff\xd8jpeg", b"\x89PNG\r\n\x1a\n")
 
 
 def test_the_reference_names_every_topic_a_press_publishes() -> None:
-    """The page has the QoS and retention of every topic."""
+    """The page has the QoS and retention of every topic; so has that of the description."""
     said = {topic.replace("<press id>", PRESS_ID): (qos, retained) for topic, qos, retained, *_ in TOPICS}
 
-    for message in (*press_messages(result(), GEL), *picture_messages(PRESS_ID, FILES, is_last=True)):
+    own = press_messages(result(), GEL, b"\xff\xd8still")
+    described = asyncapi_message(DescribedStation.of_root("gelgate/plant/line/station/gel/v1"))
+    for message in (*own, *picture_messages(PRESS_ID, FILES, is_last=True), described):
         assert said[message.topic] == (message.qos, message.retain)
 
 

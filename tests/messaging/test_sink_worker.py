@@ -81,7 +81,8 @@ def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
     store: Store, path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Acknowledgements that find no room are stored later; the pauses grow, one log line, and the state is reported.
-    Without the memory of accepted rows, a result was sent again at every attempt while the disk was full."""
+    Without the memory of accepted rows, a result was sent again at every attempt while the disk was full. What comes
+    after it is not late."""
     sink, retained_state = ScriptedSink(), RetainedState()
     with FullOutbox(path) as outbox:
         outbox.register(["mqtt"])
@@ -104,6 +105,15 @@ def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
         assert outbox.status().rows == 0
         rows = [m for m in sink.taken if m.topic != "state" and (m.payload or m.topic == "last/heatmap")]
         assert one.counters.sent == len(rows)
+
+        for number, is_full in ((3, True), (4, False)):
+            payload = json.dumps({"press_id": f"{number}", "is_replayed": False}).encode()
+            store.record_press(make_press(number), lambda recorded, sent=payload: [Message("result", sent)])
+            outbox.is_full = is_full
+            one.step()
+            outbox.is_full = False
+            one.step()
+        assert not sink.results()[-1]["is_replayed"]
 
 
 def test_rows_that_waited_are_marked_as_replayed(store: Store, outbox: Outbox, sink: ScriptedSink) -> None:
