@@ -33,6 +33,7 @@ def test_a_shift_is_an_alarm_until_somebody_acknowledges_it(config: Path) -> Non
     with SteppedStation(config) as station:
         station.play_presses(24)
         quiet, charts = station.alarm("drift"), dict(station.find(DriftWatch)._bundles)
+        assert list(config.parent.rglob("*.drift.npy")), "kept before the end: the process may be killed"
         shift(station, "x_mm", 3.0)
         station.play_presses(30)
         said = station.alarm("drift")
@@ -43,6 +44,7 @@ def test_a_shift_is_an_alarm_until_somebody_acknowledges_it(config: Path) -> Non
         watch = again.find(DriftWatch)
         left = watch._bundles[watch._bundle]
         assert again.alarm("drift") is None
+        assert {chart["measure"] for chart in again.said("drift")["charts"]} == set(left)
     with SteppedStation(config) as last:
         last.play_until(lambda: last.loop.session is not None)
         watch = last.find(DriftWatch)
