@@ -118,7 +118,8 @@ def test_counts_outlive_the_process(mounted: Store, path: Path) -> None:
 
 
 def test_a_word_without_presses_proves_nothing(mounted: Store) -> None:
-    """The refusal says how many are missing; with enough it is proven, once."""
+    """The refusal says how many are missing; with enough it is proven, once. Until then the gel is a new one for it."""
+    find_gel = partial(gel_proofs.unproven_gel, bundle_id="b" * 64)
     see(mounted, key(1))
     mounted.replace_gel(SERIAL, T0 + DAY_NS)
     see(mounted, key(2))
@@ -127,7 +128,9 @@ def test_a_word_without_presses_proves_nothing(mounted: Store) -> None:
         prove(mounted, key(2))
 
     press(mounted, key(2), 1)
+    assert mounted.read("reading", find_gel) == key(2)
     assert prove(mounted, key(2)).proven is Proven.PRESSES
+    assert mounted.read("reading", find_gel) is None
     press(mounted, key(2), 1, is_alarm=True)
     assert see(mounted, key(2)).alarms == 0
     with pytest.raises(ValueError, match="is proven on gel 2BNN4ZE7-2 already: presses"):
