@@ -12,7 +12,7 @@ from recorded_presses import GEL, PRESS_ID, result, unscored
 from edge.core.gel_life import GelState
 from edge.core.verdict import Kind
 from edge.gateway.command_table import every_command
-from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared
+from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, list_alarms
 from edge.messaging.command_payloads import CommandResponse
 from edge.messaging.descriptions.asyncapi import asyncapi_message, document
 from edge.messaging.descriptions.station import DescribedStation
@@ -82,8 +82,15 @@ def references(value: Any) -> list[str]:
 
 
 def test_every_topic_has_a_channel_with_its_delivery(described: dict[str, Any]) -> None:
-    """QoS and retention are those of the manual; verbs that are served have a channel each."""
+    """QoS and retention are those of the manual; verbs that are served have a channel each. Alarms are named."""
     delivery = {}
+    parameters = {
+        name: given
+        for one in described["channels"].values()
+        for name, given in one.get("parameters", {}).items()
+    }
+    assert parameters["alarm"]["enum"] == list(list_alarms())
+    assert "enum" not in parameters["press_id"]
     for one in described["operations"].values():
         channel = described["channels"][one["channel"]["$ref"].rpartition("/")[2]]
         mqtt = one["bindings"]["mqtt"]
