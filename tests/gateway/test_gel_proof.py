@@ -1,6 +1,7 @@
 """A new gel through a station: the state says that the bundle is not yet proven on it, until presses have shown it."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,9 @@ from edge.core.gel_proof import Proven
 from edge.core.verdict import Kind
 from edge.features.gel_proof import GelProofWatch
 from edge.messaging.command_payloads import NoArguments
+from edge.store import gel_proofs
 from edge.store.acts import CONFIRM, Act
-from edge.store.gel_proofs import of_mounted
+from edge.store.gel_proofs import GelBundle, of_mounted
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +43,7 @@ def replaced(tmp_path: Path, recording: Path, bundle: Path) -> Callable[..., Ste
 
 def test_a_new_gel_is_a_state_and_an_alarm(replaced: Callable[..., SteppedStation], tmp_path: Path) -> None:
     """With the gel before and the presses since, after a restart too. A damaged part on it counts as an alarm, for the
-    station does not know that it is damaged."""
+    station does not know that it is damaged. With enough presses a person may say that it is proven."""
     with replaced(presses_since=2) as station:
         text, alarm = station.said("state")["unproven"], station.said("alarm/gel_proof")
         assert station.verdicts == [Kind.PASS] * 3
@@ -50,7 +52,13 @@ def test_a_new_gel_is_a_state_and_an_alarm(replaced: Callable[..., SteppedStatio
     with SteppedStation(tmp_path / "gelgate.toml") as again:
         again.play_until(lambda: again.loop.session is not None)
         assert "on this gel 1 of 3 presses alarmed" in again.said("state")["unproven"]
+        key = GelBundle("TEST0001", "TEST0001-2", again.bundle_id)
+        for _ in range(60):
+            again.parts.store.write("pressing", partial(gel_proofs.count, key=key, is_alarm=False))
+        answer = again.ask("prove_gel")
+        assert again.alarm("gel_proof") is None
 
+    assert (answer["presses"], answer["alarms"], 0.05 < answer["rate"] < 0.1) == (63, 1, True)
     assert text.startswith("bundle PZ0/pos1 (")
     assert "is not yet proven on gel TEST0001-2: it was used on gel TEST0001-1; on this gel" in text
     assert (alarm["text"], alarm["severity"]) == (text, "warning")
