@@ -59,6 +59,7 @@ def test_the_time_is_given_three_times_and_agrees() -> None:
     for wrong, words in (
         ({"time": "2026-01-31T12:00:00.000251Z"}, "time_ns says"),
         ({"time_ms": 1}, "time_ms is 1"),
+        ({"time_ns": "1"}, "valid integer"),
     ):
         with pytest.raises(ValidationError, match=words):
             result(**wrong)
