@@ -18,6 +18,7 @@ from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.payload_base import as_replayed, iso_time
 from edge.messaging.result_payload import PressFiles, ResultPayload, picture_messages, press_messages
+from edge.messaging.status_payloads import availability_message
 from edge.messaging.topics import TOPICS
 from edge.store.press_store import Store
 from edge.store.ulid import is_ulid, new_ulid
@@ -26,12 +27,13 @@ FILES = PressFiles(b"\xff\xd8jpeg", b"\x89PNG\r\n\x1a\n")
 
 
 def test_the_reference_names_every_topic_a_press_publishes() -> None:
-    """The page has the QoS and retention of every topic; so has that of the description."""
+    """The page has the QoS and retention of every topic; so have the description and the availability."""
     said = {topic.replace("<press id>", PRESS_ID): (qos, retained) for topic, qos, retained, *_ in TOPICS}
 
     own = press_messages(result(), GEL, b"\xff\xd8still")
     described = asyncapi_message(DescribedStation.of_root("gelgate/plant/line/station/gel/v1"))
-    for message in (*own, *picture_messages(PRESS_ID, FILES, is_last=True), described):
+    about_station = described, availability_message(is_online=True)
+    for message in (*own, *picture_messages(PRESS_ID, FILES, is_last=True), *about_station):
         assert said[message.topic] == (message.qos, message.retain)
 
 
