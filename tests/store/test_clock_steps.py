@@ -5,11 +5,13 @@ from pathlib import Path
 
 import pytest
 from recorded_presses import make_press
+from sql import execute
 
 from edge.core.ports import Message
 from edge.store.outbox import Bounds, Outbox
 from edge.store.press_store import PressRecord, Store
 
+MINUTES_NS = 600 * 10**9
 DAY_NS = 86400 * 10**9
 
 
@@ -84,11 +86,15 @@ def test_running_time_goes_on_after_a_restart_and_not_while_nothing_runs(path: P
 
 
 def test_running_time_is_stored_without_presses_too(path: Path, uptime: Uptime) -> None:
-    """A station that waits for parts for a day ages its messages, although nothing is pressed and it is then killed."""
+    """A station that waits for parts for a day ages its messages, although nothing is pressed and it is then killed:
+    every ten minutes."""
     with opened(path, uptime) as store:
         record(store, make_press(1), Message("old", b""))
-        uptime.ns += DAY_NS + 1
-        store.gel(make_press(1).serial, make_press(1).time_ns)
+        for passed_ns in (MINUTES_NS, DAY_NS + 1 - MINUTES_NS):
+            uptime.ns += passed_ns
+            store.gel(make_press(1).serial, make_press(1).time_ns)
+            ((stored_ns,),) = execute(path, "SELECT running_ns FROM running")
+            assert stored_ns >= passed_ns
         record_at_once = Store(path, Bounds(max_age_s=86400.0), monotonic_ns=Uptime())
         with record_at_once:
             record(record_at_once, make_press(2), Message("new", b""))
