@@ -282,9 +282,15 @@ def freeze(run: "Simulation", rng: random.Random) -> float:
 
 def disturb_relay(run: "Simulation", rng: random.Random) -> float:
     """The relay board is unplugged, slow or stuck."""
-    relay = run.world.relay
+    relay, hand = run.world.relay, run.world.hand
+
+    def mend() -> None:
+        if relay.mood == "unplugged" and hand.may_lift is not None and hand.press is not None:
+            hand.press.why.add("a relay that is plugged in may say `lift` before the station has it")
+        relay.mend()
+
     relay.mood = rng.choice((*["unplugged"] * 4, "slow", "stuck"))
-    return run.for_a_while(f"relay {relay.mood}", rng.uniform(0.5, 5), relay.mend)
+    return run.for_a_while(f"relay {relay.mood}", rng.uniform(0.5, 5), mend)
 
 
 def disturb_pedal(run: "Simulation", rng: random.Random) -> float:
