@@ -42,7 +42,7 @@ def bundles(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 @pytest.mark.parametrize("seed", range(1, 3))
 def test_nothing_that_must_not_be(seed: int, bundles: list[Path], tmp_path: Path) -> None:
     """Killed, unplugged, without room, without a broker, with another clock: each press once, none passed unjudged."""
-    run = Simulation(seed, 15, bundles, tmp_path / "run").play()
+    run = Simulation(seed, 8, bundles, tmp_path / "run").play()
     assert run.faults == []
 
 
@@ -57,7 +57,7 @@ def test_a_seed_gives_the_same_run_again(bundles: list[Path], tmp_path: Path) ->
     rates = {"kill": 20.0, "hang up": 6.0, "unplug": 6.0, "request": 10.0, "slow disk": 3.0}
     chosen = Chosen(2, True, rates, 0.02)
     first, second = (
-        Simulation(12, 8, bundles, tmp_path / name, chosen).play() for name in ("first", "second")
+        Simulation(12, 5, bundles, tmp_path / name, chosen).play() for name in ("first", "second")
     )
     assert (first.events, first.reached, first.turns) == (second.events, second.reached, second.turns)
     assert any("killed" in event for event in first.events)
