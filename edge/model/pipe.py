@@ -1,7 +1,7 @@
 """Two graphs joined by buffers: the trunk writes its taps where the head reads them."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from edge.model.tile_runner import TiledMaps
 
-__all__ = ["FRAMES", "SCORE", "SCORE_MAP", "Pipe", "Ran"]
+__all__ = ["FRAMES", "RELIEF_MAP", "SCORE", "SCORE_MAP", "Pipe", "Ran"]
 
 FRAMES, SCORE_MAP, SCORE = "frames", "score_map", "score"
+RELIEF_MAP = "relief_map"
+"""What `score_map` shows of missing relief alone; heads that check for it give it."""
 
-Ran = tuple[NDArray[np.float32], NDArray[np.float32], float, float]
-"""score_map (n, h, w), score (n,), and the milliseconds in trunk and head."""
+Ran = tuple[Sequence[NDArray[np.float32]], float, float]
+"""The outputs, each of n frames, and the milliseconds in trunk and head."""
 
 
 class Pipe:
@@ -31,6 +33,7 @@ class Pipe:
         shape: tuple[int, ...],
         mosaics: "TiledMaps | None" = None,
         features: Mapping[str, ort.OrtValue] | None = None,
+        outputs: Sequence[str] = (SCORE_MAP, SCORE),
     ) -> None:
         self.size = shape[0]
         self.features: dict[str, ort.OrtValue] = {**(features or {})}
@@ -60,8 +63,8 @@ class Pipe:
             self._head_io.bind_ortvalue_input(name, self.features[name])
         for name, array in bank.items():
             self._head_io.bind_ortvalue_input(name, array)
-        self._head_io.bind_output(SCORE_MAP, "cpu")
-        self._head_io.bind_output(SCORE, "cpu")
+        for name in outputs:
+            self._head_io.bind_output(name, "cpu")
 
     def run(self, frames: NDArray[np.uint8]) -> Ran:
         """Run both graphs."""
@@ -74,8 +77,8 @@ class Pipe:
             self._trunk.run_with_iobinding(self._trunk_io)
         self._has_features = self._trunk is not None
         trunk_ms = (time.perf_counter() - start) * 1e3
-        score_map, score, _, head_ms = self.run_head()
-        return score_map, score, trunk_ms, head_ms
+        found, _, head_ms = self.run_head()
+        return found, trunk_ms, head_ms
 
     def run_head(self) -> Ran:
         """Run the head on the features that are there."""
@@ -83,8 +86,8 @@ class Pipe:
         self._head.run_with_iobinding(self._head_io)
         end = time.perf_counter()
         # The runtime writes the next result into the same memory, so a copy is returned.
-        score_map, score = (value.numpy().copy() for value in self._head_io.get_outputs())
-        return score_map, score, 0.0, (end - start) * 1e3
+        found = [value.numpy().copy() for value in self._head_io.get_outputs()]
+        return found, 0.0, (end - start) * 1e3
 
     def find_features(self, rgb: NDArray[np.uint8]) -> Mapping[str, ort.OrtValue] | None:
         """Return the features of this frame, uint8 (h, w, 3), where the last run was of it alone."""

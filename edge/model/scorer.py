@@ -5,7 +5,7 @@ method. `edge.model.tile_runner` runs a tiled trunk and skips tiles that show on
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from edge.core.errors import BundleCorrupt, NotScorable, PoseNotFound
 from edge.core.registration.pose import Registered, gel_limits_in_pose
 from edge.model.bundle import Bundle
-from edge.model.pipe import FRAMES, SCORE, SCORE_MAP, Pipe, Ran
+from edge.model.pipe import FRAMES, RELIEF_MAP, SCORE, SCORE_MAP, Pipe, Ran
 from edge.model.session import RUNTIME_ERRORS, TrunkSessions, open_session
 
 if TYPE_CHECKING:
@@ -50,6 +50,8 @@ class Scored:
     registered: Registered | None = None
     """The press in the bank's pose; None for a bundle without registration."""
     registration_ms: float = 0.0
+    relief_map: NDArray[np.float32] | None = None
+    """What the map shows of missing relief alone, in the bank's pose; None where that is not asked for."""
 
 
 class Scorer:
@@ -151,7 +153,8 @@ class Scorer:
         """Score the features of one frame. Errors: NotScorable."""
         if self._beside is None or self._beside[0] is not features:
             shape = (1, *self.frame, 3)
-            pipe = Pipe(self._trunk, self._head, self._taps, self._bank, shape, features=features)
+            parts = self._trunk, self._head, self._taps, self._bank, shape
+            pipe = Pipe(*parts, features=features, outputs=self._outputs)
             self._beside = features, pipe
         return self._check_scores(self._beside[1].run_head)[0]
 
@@ -181,17 +184,17 @@ class Scorer:
     def _check_scores(self, run: Callable[[], Ran]) -> list[Scored]:
         """Run, and return what was scored. Errors: NotScorable where it fails, or is not finite."""
         try:
-            score_maps, scores, trunk_ms, head_ms = run()
+            (score_maps, scores, *more), trunk_ms, head_ms = run()
         except RUNTIME_ERRORS as error:
             raise NotScorable(f"bundle {self._where} gave no score: {error!s:.300}") from error
         if not (np.isfinite(score_maps).all() and np.isfinite(scores).all()):
             raise NotScorable(
                 f"bundle {self._where} gave a score that is not finite; the press counts as an error"
             )
-        share = 1 / len(scores)
+        share, relief = 1 / len(scores), more[0] if more else [None] * len(scores)
         return [
-            Scored(score_map, float(score), trunk_ms * share, head_ms * share)
-            for score_map, score in zip(score_maps, scores, strict=True)
+            Scored(score_map, float(score), trunk_ms * share, head_ms * share, relief_map=relief_map)
+            for score_map, score, relief_map in zip(score_maps, scores, relief, strict=True)
         ]
 
     def check_golden(self) -> float:
@@ -308,7 +311,7 @@ class Scorer:
         """Bind buffers for one frame and try a grey frame, so a wrong shape is found before the first press."""
         pipe = self._new_pipe(1)
         try:
-            score_maps, scores, _, _ = pipe.run(np.full((1, *self.frame, 3), 128, np.uint8))
+            (score_maps, scores, *_), _, _ = pipe.run(np.full((1, *self.frame, 3), 128, np.uint8))
         except RUNTIME_ERRORS as error:
             raise BundleCorrupt(
                 f"bundle {self._where}: its graphs do not run on a frame of {self.frame} (h, w): {error!s:.300}"
@@ -330,16 +333,29 @@ class Scorer:
 
     def _new_pipe(self, size: int) -> Pipe:
         mosaics = None if self._runner is None else self._runner.mosaics(size, self._free)
-        return Pipe(self._trunk, self._head, self._taps, self._bank, (size, *self.frame, 3), mosaics)
+        parts = self._trunk, self._head, self._taps, self._bank, (size, *self.frame, 3)
+        return Pipe(*parts, mosaics, outputs=self._outputs)
+
+    @property
+    def _outputs(self) -> Sequence[str]:
+        """What is asked of the head: missing relief by itself where its peak may lie where a press is not seen."""
+        is_apart = self.bundle.registration is not None and RELIEF_MAP in {
+            output.name for output in self._head.get_outputs()
+        }
+        return (SCORE_MAP, SCORE, RELIEF_MAP) if is_apart else (SCORE_MAP, SCORE)
 
 
 def _bring_back(scored: Scored, registered: Registered) -> Scored:
     """Bring what was scored in the bank's pose back to the press."""
+    score_map = scored.score_map
+    if scored.relief_map is not None:
+        score_map = registered.show_missing(score_map, scored.relief_map)
     return replace(
         scored,
-        score_map=registered.in_press(scored.score_map),
-        anomaly_score=registered.score(scored.score_map),
+        score_map=registered.in_press(score_map),
+        anomaly_score=registered.score(score_map),
         registered=registered,
+        relief_map=None,
     )
 
 

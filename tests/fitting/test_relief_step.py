@@ -1,6 +1,7 @@
 """A fit learns from its own presses what a smoother object lacks, and refuses none for light or depth."""
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -19,6 +20,7 @@ from calibration.fitting.limits.relief_step import (
     choose_relief,
     find_missing,
     finest_tap,
+    try_relief,
 )
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
@@ -182,9 +184,12 @@ def test_a_bundle_fails_a_smoother_object_and_passes_the_part(fitted: Fitted, pr
 
 
 def test_places_of_the_gel_with_a_higher_limit_hide_no_missing_relief(
-    presses: Presses, monkeypatch: pytest.MonkeyPatch
+    presses: Presses, take: Taken, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The limit is four times as high on all of the gel, and the smoother object fails."""
+    """The limit is four times as high on all of the gel, and the smoother object fails. What a registered part lacks is
+    learnt, and its finds are counted, from presses as the gateway shows them to the bank."""
+    learn = Mock(wraps=try_relief)
+    monkeypatch.setattr(fit, "try_relief", learn)
     four_times = np.full(presses.learnt.frames.shape[1:3], 4, np.float32)
     monkeypatch.setattr(
         fit, "choose_limits", lambda *given: replace(choose_limits(*given), gel_limits=four_times)
@@ -194,6 +199,11 @@ def test_places_of_the_gel_with_a_higher_limit_hide_no_missing_relief(
     config = FitConfig("dome", "top", PROFILE, REGION, detector, trunk, threads=1, register="always")
     fitted = fit_files(presses.learnt, config, created="")
     scorer, threshold = Scorer(fitted.bundle(), 1), fitted.manifest.threshold
+    given, _, nominal, take_changed, *_ = learn.call_args.args
+    at_gateway = [scorer.score(rgb).registered for rgb in presses.learnt.frames]
+    shown = take(np.stack([one.rgb for one in at_gateway if one is not None]))["layer1"]
+    np.testing.assert_array_equal(nominal.features["layer1"], shown)
+    np.testing.assert_array_equal(take_changed(given.frames)["layer1"], shown)
     assert min(scorer.score(rgb).anomaly_score for rgb in presses.smooth) > threshold.value
     assert max(scorer.score(rgb).anomaly_score for rgb in presses.learnt.frames) <= threshold.value
 

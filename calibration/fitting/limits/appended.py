@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank
 from edge.core.errors import FitError
 from edge.model.manifest import REGION_WEIGHTS
+from edge.model.pipe import RELIEF_MAP
 
 __all__ = ["TAUGHT_WEIGHTS", "append", "extend_head", "find_obstacle", "head_inputs"]
 
@@ -133,7 +134,7 @@ def append(head: bytes, bank: Bank, arrays: Mapping[str, NDArray[Any]], tap: str
         head, bank = _append(head, bank, arrays, text, _LIMIT_CONSTANTS, "limit_raw_")
     if "relief_free" in arrays:
         text = _RELIEF.format(tap=tap)
-        head, bank = _append(head, bank, arrays, text, _RELIEF_CONSTANTS, "relief_raw_")
+        head, bank = _append(head, bank, arrays, text, _RELIEF_CONSTANTS, "relief_raw_", RELIEF_MAP)
     if TAUGHT_WEIGHTS in arrays:
         head, bank = _append(head, bank, arrays, _TAUGHT, _TAUGHT_CONSTANTS, "taught_raw_")
     if REGION_WEIGHTS in arrays:
@@ -143,7 +144,13 @@ def append(head: bytes, bank: Bank, arrays: Mapping[str, NDArray[Any]], tap: str
 
 
 def _append(
-    head: bytes, bank: Bank, arrays: Mapping[str, NDArray[Any]], text: str, constants: str, raw: str
+    head: bytes,
+    bank: Bank,
+    arrays: Mapping[str, NDArray[Any]],
+    text: str,
+    constants: str,
+    raw: str,
+    shown: str = "",
 ) -> tuple[bytes, Bank]:
     words = set(re.findall(r"\w+", text))
     read = {name: array.astype(np.float32) for name, array in arrays.items() if name in words}
@@ -152,7 +159,7 @@ def _append(
     renamed = {name: f"{raw}{name}" for name in ("score_map", "score")}
     try:
         head = extend_head(
-            head, renamed, {name: array.shape for name, array in read.items()}, text, constants
+            head, renamed, {name: array.shape for name, array in read.items()}, text, constants, shown
         )
     except FitError as error:
         raise FitError(f"the head cannot be extended by a limit: {error}") from error
@@ -165,12 +172,14 @@ def extend_head(
     inputs: Mapping[str, tuple[int, ...]],
     text: str,
     constants: str = "",
+    shown: str = "",
 ) -> bytes:
     """Append operations to a head; what they give takes the place of the head's own values of those names.
 
     renamed: values of the head to their new names; an operation gives each of the old ones. inputs: name to shape of
-    each further float32 input. text, constants: in the syntax of onnx.parser. Errors: FitError for bytes that are no
-    model, or a node with a graph of its own, which may read any value by name.
+    each further float32 input. text, constants: in the syntax of onnx.parser. shown: a map among the values of the text
+    that is an output too. Errors: FitError for bytes that are no model, or a node with a graph of its own, which may
+    read any value by name.
     """
     import onnx.parser
     from onnx import TensorProto, helper
@@ -192,6 +201,8 @@ def extend_head(
         node.name = f"appended {node.op_type} of {' and '.join(node.input)}"
     graph.node.extend(more.node)
     graph.initializer.extend(more.initializer)
+    if shown:
+        graph.output.append(helper.make_tensor_value_info(shown, TensorProto.FLOAT, [None, None, None]))
     return bytes(model.SerializeToString(deterministic=True))
 
 

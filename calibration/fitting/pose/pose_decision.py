@@ -126,6 +126,13 @@ class PoseChoice:
         registered = self.learnt.registered
         return ShownPresses(take(np.stack([one.rgb for one in registered])), registered)
 
+    def take_shown(self, take: Take) -> Take:
+        """Return what takes the features of presses as the gateway brings them to the bank."""
+        if self.learnt is None:
+            return take
+        registrar = Registrar(self.learnt.part)
+        return lambda frames: take(np.stack([registrar.register(rgb).rgb for rgb in frames]))
+
     def show_damage(self, damage: DamagedPresses, take: Take) -> tuple[DamagedPresses, ShownPresses]:
         """Bring presses with damage to the bank as the gateway does; those without a pose are left out."""
         if self.learnt is None:

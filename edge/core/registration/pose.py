@@ -135,6 +135,17 @@ class Registered:
         """The least turn at which the part looks as it does; None where the part has no turn."""
         return math.remainder(self.pose.turn_rad, 2 * math.pi / self.symmetry) if self.symmetry else None
 
+    def show_missing(self, score_map: F32, relief_map: F32) -> F32:
+        """Return the map, in the bank's pose, with missing relief at its full height where places are seen.
+
+        relief_map: what the map shows of it alone. The whole press lacks it, so it counts wherever it shows most: that
+        may be a place which the bank does not know, or which has left the field.
+        """
+        height, seen = relief_map.max(), np.where(self.seen, relief_map, 0)
+        peak = seen.max()
+        shown = seen * (height / peak) if peak > 0 else np.where(self.seen, height, 0)
+        return np.maximum(score_map, shown.astype(np.float32))
+
     def score(self, score_map: F32) -> float:
         """The highest score of a map in the bank's pose, of places that are seen, by the limits of the gel."""
         return float(self._weigh(score_map)[self.seen].max(initial=-math.inf))

@@ -14,6 +14,7 @@ from command_line import refuse_by_example
 from registered_bundle import fitted, nominal, registered
 
 from calibration.fitting.damage.damaged_presses import DamagedPresses
+from calibration.fitting.limits.appended import append
 from calibration.fitting.limits.held_out import HeldOut, ScoredPresses
 from calibration.fitting.pose.pose_decision import PoseChoice
 from calibration.fitting.pose.registration import LearntPose, in_pose_of, learn_pose
@@ -23,10 +24,12 @@ from edge.core.detector import Bank, Features, Nominal
 from edge.core.errors import BundleCorrupt, FitError, PoseNotFound
 from edge.core.registration.pose import Pose, warp
 from edge.core.registration.registrar import Registrar
-from edge.model.bundle import Bundle
+from edge.model.bundle import Bundle, Graphs
 from edge.model.bundle_writer import bundle_files
 from edge.model.manifest import Facts
 from edge.model.scorer import Scorer
+from plugins.detectors.common.smoothing import upsampling_matrix
+from plugins.onnx_builder import Graph
 
 
 def take(frames: np.ndarray) -> Features:
@@ -179,6 +182,8 @@ def test_presses_are_held_out_as_the_gateway_shows_them() -> None:
     masks[:, 60:64, 60:64] = True
     foreign = parts.press(parts.OTHER, Pose(), seed=5)
     frames = np.stack([*rendered.frames[:7], foreign])
+    taken = choice.take_shown(take)(rendered.frames)
+    assert np.array_equal(taken["rgb"], shown.features["rgb"])
     posed, damaged = choice.show_damage(DamagedPresses(frames, np.arange(8), masks), take)
     assert posed.press.tolist() == list(range(7))
     assert damaged.seen is not None
@@ -190,6 +195,7 @@ def test_presses_are_held_out_as_the_gateway_shows_them() -> None:
     still = PoseChoice(None).show(unused, take)
     assert still.seen is None
     assert still.features is unused.features
+    assert PoseChoice(None).take_shown(take) is take
 
 
 def test_the_limit_is_higher_at_a_cut_of_the_gel_wherever_the_part_lies() -> None:
@@ -209,6 +215,59 @@ def test_the_limit_is_higher_at_a_cut_of_the_gel_wherever_the_part_lies() -> Non
     assert cut.score(score_map) <= plain.score(score_map)
     with pytest.raises(ValueError, match="at least 1"):
         replace(part, gel_limits=limits - 1)
+
+
+def head_of_nothing() -> bytes:
+    """A head that reads the tap and scores 0 everywhere."""
+    graph = Graph("nothing")
+    tap = graph.input("layer1", ("n", 3, 16, 16))
+    score = graph.op("Mul", graph.op("ReduceMax", tap, graph.ints(1, 2, 3), keepdims=1), graph.scalar(0))
+    score = graph.op("ReduceMax", score, graph.ints(3), keepdims=0)
+    side = parts.SIDE
+    score_map = graph.op("Mul", score, graph.constant(np.ones((side, side), np.float32)))
+    graph.output("score_map", score_map, ("n", side, side))
+    graph.output("score", graph.op("ReduceMax", score_map, graph.ints(1, 2), keepdims=0), ("n",))
+    return graph.serialise()
+
+
+def test_missing_relief_counts_where_its_peak_is_not_seen() -> None:
+    """The whole press lacks it, so its score is that of the whole map, and shows where most is missing of what is seen.
+    All of it counts where nothing of it is seen."""
+    whole = registered().bundle()
+    assert whole.registration is not None
+    expected = np.zeros((16, 16))
+    expected[0, 0] = 9  # where nothing is learnt
+    one, raised = np.ones((1, 1)), upsampling_matrix(16, parts.SIDE, "sampled")
+    relief = {
+        "relief_free": np.zeros((3, 1, 1)),
+        "relief_level": 0.1 * one,
+        "relief_weights": np.zeros((1, 3, 1, 1)),
+        "relief_middle": np.full(1, 2.0),
+        "relief_weakest": 0.1 * one,
+        "relief_expected": expected,
+        "relief_rows": raised,
+        "relief_columns": raised.T,
+        "relief_unit": 7 * one,
+    }
+    head, bank = append(head_of_nothing(), Bank({}), relief, "layer1")
+    facts = Facts(**{name: getattr(whole.manifest, name) for name in Facts.model_fields})
+    graphs = Graphs(whole.graphs.trunk, head)
+    files = bundle_files(facts, graphs, bank, backbone="tiny", registration=whole.registration)
+    scorer, rgb = Scorer(Bundle.in_memory(*files)), parts.anywhere(parts.BLOCK, 1, 77)[1][0]
+
+    found = scorer.score(rgb)
+    assert found.registered is not None
+    in_pose, seen = scorer.score_in_pose(found.registered.rgb), found.registered.seen
+    assert in_pose.score_map[~seen].max() > 2 * in_pose.score_map[seen].max()
+    assert found.anomaly_score == found.score_map.max() == pytest.approx(in_pose.anomaly_score)
+    assert (
+        found.registered.score(
+            found.registered.show_missing(
+                np.zeros(seen.shape, np.float32), np.where(seen, 0, 3).astype(np.float32)
+            )
+        )
+        == 3
+    )
 
 
 def test_what_is_stored_is_what_was_learnt() -> None:
