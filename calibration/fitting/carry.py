@@ -1,7 +1,8 @@
 """A bundle carried over to another gel of its sensor by a few presses: the bank stays, its threshold is found again.
 
 The trunk and the bank hold what the part looks like, and lose little by a new gel; the scores shift, so the threshold,
-the coarse colours, the free gel and the golden frames are those of the new gel. docs/gel.md has the measurements.
+the coarse colours, the free gel and the golden frames are those of the new gel. Missing relief is no score of the
+method: as much as failed before fails at the new threshold. docs/gel.md has the measurements.
 """
 
 from collections.abc import Sequence
@@ -11,13 +12,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.bundle_measurements import golden_frames, measure_tolerance, provenance
+from calibration.fitting.bundle_measurements import golden_frames, measure_tolerance, provenance, score_again
 from calibration.fitting.fit import Fitted
 from calibration.fitting.limits.threshold import conformal_threshold
-from calibration.fitting.presses.colours import nominal_colours
+from calibration.fitting.presses.colours import nominal_colours, refuses
 from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.preparation import smooth_presses
+from calibration.fitting.self_check import black_warnings
 from edge.core.contact.wear import wear
 from edge.core.errors import FitError, PoseNotFound
 from edge.core.imaging.sensor_check import colour_cells, is_other_kind
@@ -25,7 +27,7 @@ from edge.model.bundle import Bundle
 from edge.model.bundle_writer import facts_of, rewrite_files
 from edge.model.detectability import CARD
 from edge.model.manifest import DotsEntry, Facts, ThresholdEntry, ToleranceEntry
-from edge.model.manifest_facts import gel_facts
+from edge.model.manifest_facts import DAMAGE_FOUND, LIMIT, MISSING, gel_facts
 from edge.model.scorer import Scorer
 from edge.model.tile_runner import most_typical
 
@@ -41,7 +43,9 @@ on another unit, 3.3 to 8.1 for another part."""
 # ten times as much.
 _SAME_SHADING, _SAME_LEVEL = 0.6, 0.02
 # Facts that hold for the old gel's scores alone.
-_OF_OLD_GEL: Final = (CARD, "press_again", "dots")
+_OF_OLD_GEL: Final = (CARD, "press_again", "dots", DAMAGE_FOUND)
+# The score of a press from which as much relief is missing as is allowed.
+_UNIT: Final = "relief_unit"
 
 
 @dataclass(frozen=True)
@@ -65,17 +69,47 @@ def carry_bundle(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -
     presses = take_out_dots(presses, bundle.profile.pixels_per_mm)
     presses = smooth_presses(presses) if bundle.manifest.is_smoothed else presses
     _check_presses(bundle, presses)
-    scorer = Scorer(bundle, config.threads)
+    scorer = Scorer(_weigh_relief(bundle, 0), config.threads)
     scores = _scores(scorer, presses)
     _check_change(np.array(bundle.manifest.threshold.nominal_scores), scores)
     golden = golden_frames(scorer, presses.frames) if bundle.registration is None else list(bundle.golden)
     tolerance = measure_tolerance(scorer, golden, config.threads)
     threshold = _threshold(bundle.manifest.threshold, presses, scores, tolerance)
+    if _UNIT in bundle.bank:
+        bundle = _weigh_relief(bundle, threshold.value)
+        scorer = Scorer(bundle, config.threads)
+        _check_relief(scorer, presses, scores, threshold.value)
+        golden = [score_again(frame, scorer) for frame in golden]
     facts, free = _facts(bundle, presses, config, threshold, tolerance), presses.no_contact
+    _check_black(scorer, facts)
     free_gel = most_typical(free) if bundle.free_gel is not None and free is not None else None
     fitted = Fitted(*rewrite_files(bundle, facts, golden, free_gel=free_gel, free_view=presses.free_view))
     Scorer(fitted.bundle(), config.threads).check_golden()
     return fitted
+
+
+def _weigh_relief(bundle: Bundle, unit: float) -> Bundle:
+    """Give missing relief this score at its limit, where it is checked."""
+    if _UNIT not in bundle.bank:
+        return bundle
+    return replace(bundle, bank={**bundle.bank, _UNIT: np.full((1, 1), unit, np.float32)})
+
+
+def _check_relief(scorer: Scorer, presses: NominalPresses, scores: NDArray[np.float64], limit: float) -> None:
+    """Check that no press lacks relief. scores: without that check. Errors: FitError."""
+    is_lacking = (_scores(scorer, presses) > limit) & (scores <= limit)
+    if lacking := [presses.names[k] for k in np.flatnonzero(is_lacking)]:
+        raise FitError(
+            f"presses lack relief that the learnt ones have: {', '.join(lacking)}; check the parts, press them as at "
+            "the fit, or fit a bundle on this gel"
+        )
+
+
+def _check_black(scorer: Scorer, facts: Facts) -> None:
+    """Check that a black frame, which shows no press, fails or is refused. Errors: FitError."""
+    black = np.zeros((*scorer.frame, 3), np.uint8)
+    score = scorer.score_in_pose(black).anomaly_score
+    black_warnings(score, facts.threshold, refuses(facts.colours, black))
 
 
 def _check_bundle(bundle: Bundle) -> None:
@@ -197,6 +231,10 @@ def _facts(
 ) -> Facts:
     old = bundle.manifest
     facts: dict[str, Any] = {name: fact for name, fact in old.facts.items() if name not in _OF_OLD_GEL}
+    for name in (LIMIT, MISSING):
+        if facts.get(name, {}).get("found"):  # measured on the old gel
+            why = "as in the bundle before; what it finds on this gel is not measured"
+            facts[name] = {key: fact for key, fact in facts[name].items() if key != "found"} | {"why": why}
     came = {"carried_from": bundle.digest, "presses": len(presses)}
     known = gel_facts(config.gel_id).get("gel", {})
     said = provenance(config.created, presses, old.provenance.seed, old.provenance.warnings)

@@ -204,6 +204,16 @@ def test_a_bundle_with_a_threshold_given_by_hand_is_refused() -> None:
         carry_bundle(bundle, pressed(8), CONFIG)
 
 
+def test_a_limit_by_which_a_black_frame_passes_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As at a fit: unless the gateway refuses it for its colours, as it does here."""
+    high = new().manifest.threshold.model_copy(update={"value": 1e9})
+    monkeypatch.setattr("calibration.fitting.carry._threshold", lambda *_: high)
+    carry_bundle(old(), pressed(8), CONFIG)
+    monkeypatch.setattr("calibration.fitting.carry.refuses", lambda *_: False)
+    with pytest.raises(FitError, match=r"a black frame scores .* and would pass"):
+        carry_bundle(old(), pressed(8), CONFIG)
+
+
 def test_a_fit_may_name_its_gel() -> None:
     """A station then knows on which gel the bundle is proven; by default it does not."""
     named = fit_files(tiny_presses(6), tiny_config(gel_id="G7"), created="2026-01-01").manifest

@@ -9,6 +9,7 @@ import pytest
 from pressed_dome import DEPTH_MM, PROFILE, REGION, Bench, dome_bench, dome_presses, pillow
 
 from calibration.fitting import fit
+from calibration.fitting.carry import CarryConfig, carry_bundle
 from calibration.fitting.damage.conditions import change_presses, dim, relight
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
@@ -32,6 +33,7 @@ from edge import registry
 from edge.clock import SystemClock
 from edge.core.arrays import F32
 from edge.core.detector import Features, Grid, Nominal
+from edge.core.errors import FitError
 from edge.core.imaging.frames import CameraFrame
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
@@ -206,6 +208,34 @@ def test_places_of_the_gel_with_a_higher_limit_hide_no_missing_relief(
     np.testing.assert_array_equal(take_changed(given.frames)["layer1"], shown)
     assert min(scorer.score(rgb).anomaly_score for rgb in presses.smooth) > threshold.value
     assert max(scorer.score(rgb).anomaly_score for rgb in presses.learnt.frames) <= threshold.value
+
+
+def test_a_bundle_that_is_carried_over_fails_as_much_missing_relief(
+    fitted: Fitted, presses: Presses, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a gel of another tint the limit is higher, and what is missing counts in units of it; what was found on the
+    old gel is not said of the new one. Presses that lack relief are refused, also where the limit is high."""
+    monkeypatch.setattr("calibration.fitting.carry._check_presses", lambda *_: None)
+    bundle, config = fitted.bundle(), CarryConfig("2026-02-01", threads=1)
+    grain = cv2.GaussianBlur(np.random.default_rng(0).normal(size=(96, 96, 3)), (0, 0), 12)
+    other_gel = 5 * grain / grain.std()
+    tinted = [
+        np.clip(np.rint(frames + other_gel), 0, 255).astype(np.uint8)
+        for frames in (presses.sound, presses.smooth)
+    ]
+    learnt = replace(presses.learnt.choose(range(4)), frames=tinted[0])
+    carried = carry_bundle(bundle, learnt, config)
+    scorer, limit = Scorer(carried.bundle(), 1), carried.manifest.threshold.value
+    assert limit > 1.2 * bundle.manifest.threshold.value
+    assert carried.bundle().bank["relief_unit"] == pytest.approx(limit)
+    assert min(scorer.score(rgb).anomaly_score for rgb in tinted[1]) > limit
+    assert not {"damage_found", "press_again"} & carried.manifest.facts.keys()
+    assert "found" not in carried.manifest.facts["missing_relief"]
+    assert "found" not in carried.manifest.facts["limit"]
+    assert choice_sentence(carried.manifest.facts, MISSING).startswith("checked: as in the bundle before")
+    mixed = np.concatenate([tinted[0][:3], tinted[1][:1]])
+    with pytest.raises(FitError, match=f"lack relief that the learnt ones have: {learnt.names[3]};"):
+        carry_bundle(bundle, replace(learnt, frames=mixed), config)
 
 
 def answers(bundle: Bundle, free: np.ndarray, pictures: list[np.ndarray]) -> set[str]:
