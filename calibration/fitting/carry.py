@@ -12,14 +12,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.bundle_measurements import golden_frames, measure_tolerance, provenance, score_again
+from calibration.fitting import bundle_measurements as measuring
+from calibration.fitting.bundle_measurements import golden_frames, measure_tolerance, score_again
 from calibration.fitting.fit import Fitted
 from calibration.fitting.limits.threshold import conformal_threshold
-from calibration.fitting.presses.colours import nominal_colours, refuses
+from calibration.fitting.presses.colours import colour_warnings, nominal_colours, refuses
 from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.preparation import smooth_presses
-from calibration.fitting.self_check import black_warnings
+from calibration.fitting.self_check import apart_warnings, black_warnings
 from edge.core.contact.wear import wear
 from edge.core.errors import FitError, PoseNotFound
 from edge.core.imaging.sensor_check import colour_cells, is_other_kind
@@ -27,7 +28,7 @@ from edge.model.bundle import Bundle
 from edge.model.bundle_writer import facts_of, rewrite_files
 from edge.model.detectability import CARD
 from edge.model.manifest import DotsEntry, Facts, ThresholdEntry, ToleranceEntry
-from edge.model.manifest_facts import DAMAGE_FOUND, LIMIT, MISSING, gel_facts
+from edge.model.manifest_facts import DAMAGE_FOUND, LIMIT, MISSING, UNPROVEN, gel_facts
 from edge.model.scorer import Scorer
 from edge.model.tile_runner import most_typical
 
@@ -46,6 +47,8 @@ _SAME_SHADING, _SAME_LEVEL = 0.6, 0.02
 _OF_OLD_GEL: Final = (CARD, "press_again", "dots", DAMAGE_FOUND)
 # The score of a press from which as much relief is missing as is allowed.
 _UNIT: Final = "relief_unit"
+# So begins what the bundle before warned of.
+_BEFORE: Final = "of the old gel: "
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,7 @@ def carry_bundle(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -
     presses = take_out_dots(presses, bundle.profile.pixels_per_mm)
     presses = smooth_presses(presses) if bundle.manifest.is_smoothed else presses
     _check_presses(bundle, presses)
+    said = measuring.warnings(presses, bundle.manifest.frame, bundle.manifest.threshold.alpha)
     scorer = Scorer(_weigh_relief(bundle, 0), config.threads)
     scores = _scores(scorer, presses)
     _check_change(np.array(bundle.manifest.threshold.nominal_scores), scores)
@@ -81,7 +85,9 @@ def carry_bundle(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -
         _check_relief(scorer, presses, scores, threshold.value)
         golden = [score_again(frame, scorer) for frame in golden]
     facts, free = _facts(bundle, presses, config, threshold, tolerance), presses.no_contact
-    _check_black(scorer, facts)
+    apart = apart_warnings(scores, presses.names)
+    said += measuring.rate_warnings(presses.specimens, threshold.alpha) + colour_warnings(facts.colours)
+    facts = _warn(facts, [*said, *_check_black(scorer, facts, apart), *apart])
     free_gel = most_typical(free) if bundle.free_gel is not None and free is not None else None
     fitted = Fitted(*rewrite_files(bundle, facts, golden, free_gel=free_gel, free_view=presses.free_view))
     Scorer(fitted.bundle(), config.threads).check_golden()
@@ -105,11 +111,19 @@ def _check_relief(scorer: Scorer, presses: NominalPresses, scores: NDArray[np.fl
         )
 
 
-def _check_black(scorer: Scorer, facts: Facts) -> None:
-    """Check that a black frame, which shows no press, fails or is refused. Errors: FitError."""
+def _check_black(scorer: Scorer, facts: Facts, apart: Sequence[str]) -> list[str]:
+    """Check that a black frame, which shows no press, fails or is refused; return what is said. Errors: FitError."""
     black = np.zeros((*scorer.frame, 3), np.uint8)
     score = scorer.score_in_pose(black).anomaly_score
-    black_warnings(score, facts.threshold, refuses(facts.colours, black))
+    return black_warnings(score, facts.threshold, refuses(facts.colours, black), apart)
+
+
+def _warn(facts: Facts, said: Sequence[str]) -> Facts:
+    """Add what the new presses warn of to what the old ones did."""
+    whole = facts.provenance
+    before = [one if one.startswith((UNPROVEN, _BEFORE)) else f"{_BEFORE}{one}" for one in whole.warnings]
+    proven = whole.model_copy(update={"warnings": (*before, *said)})
+    return facts.model_copy(update={"provenance": proven})
 
 
 def _check_bundle(bundle: Bundle) -> None:
@@ -237,7 +251,7 @@ def _facts(
             facts[name] = {key: fact for key, fact in facts[name].items() if key != "found"} | {"why": why}
     came = {"carried_from": bundle.digest, "presses": len(presses)}
     known = gel_facts(config.gel_id).get("gel", {})
-    said = provenance(config.created, presses, old.provenance.seed, old.provenance.warnings)
+    said = measuring.provenance(config.created, presses, old.provenance.seed, old.provenance.warnings)
     return Facts(
         **{
             **dict(facts_of(old)),

@@ -204,6 +204,24 @@ def test_a_bundle_with_a_threshold_given_by_hand_is_refused() -> None:
         carry_bundle(bundle, pressed(8), CONFIG)
 
 
+def test_it_says_of_its_presses_what_a_fit_says() -> None:
+    """Of a damaged one among them, which sets the limit, of a copy, of their sources and their number. What the old
+    presses warned of is said of the old gel; what no gel proves stays first."""
+    proven = old().manifest.provenance.model_copy(update={"warnings": ("not proven: a", "grey presses")})
+    bundle = replace(old(), manifest=old().manifest.model_copy(update={"provenance": proven}))
+    frames = pressed(8).frames.copy()
+    frames[3], frames[6] = pressed(1, 9, dent=True).frames[0], frames[5]
+    presses = replace(pressed(8), frames=frames, faults=("a picture is foreign",))
+    *known, copy, rate, apart = carry_bundle(bundle, presses, CONFIG).manifest.provenance.warnings
+    assert known == ["not proven: a", "of the old gel: grey presses", "a picture is foreign"]
+    assert "('s006_p0') are exact copies of another" in copy
+    assert "1/9 at best" in rate
+    assert "press 's003_p0' stands apart from the others" in apart
+    again = replace(presses, frames=np.repeat(frames[:1], 8, axis=0))
+    with pytest.raises(FitError, match="all 8 presses are one picture"):
+        carry_bundle(bundle, again, CONFIG)
+
+
 def test_a_limit_by_which_a_black_frame_passes_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """As at a fit: unless the gateway refuses it for its colours, as it does here."""
     high = new().manifest.threshold.model_copy(update={"value": 1e9})
