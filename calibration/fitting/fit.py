@@ -197,11 +197,14 @@ class _Features:
         folds, pieces, mm = plan.folds or [], plan.presses.specimens, self.learner.grid.pixels_per_mm
         return Evidence(held_out, known, seen, damage, folds, pieces, plan.config.alpha, mm)
 
-    def choose_relief(self, head: bytes, shown: ShownPresses) -> ReliefChoice:
-        """Learn from presses as the gateway shows them to the bank. shown: the nominal ones."""
+    def choose_relief(self, head: bytes, shown: ShownPresses, unit: float) -> ReliefChoice:
+        """Learn from presses as the gateway shows them to the bank. shown: the nominal ones. unit: the score at the
+        limit."""
         plan, view = self.plan, self.plan.config.view
         if plan.folds is None or plan.why_plain:
             return ReliefChoice(plan.why_plain)
+        if not unit > 0:
+            return ReliefChoice(f"the limit is {unit:.4g}, and only in units of one above 0 it counts")
         nominal, take = replace(self.nominal, features=shown.features), self.pose.take_shown(self.take)
         return try_relief(plan.presses, view, nominal, take, plan.folds, self.learner, head)
 
@@ -307,7 +310,7 @@ def _learn_bank(features: _Features, watch: StageTimes) -> _Learnt:
             remedies = partial(more, partial(score_held_out, *roomy, edited=edited, shown=shown))
             again |= self_check.damage_facts(found, more)
             unit *= chosen.highest_limit
-        relief = features.choose_relief(head, shown)
+        relief = features.choose_relief(head, shown, unit)
     head, bank = relief.append_to(head, bank, unit)
     apart = self_check.apart_warnings(scores, plan.presses.names)
     unrendered = "" if plan.config.why_plain else why_plain

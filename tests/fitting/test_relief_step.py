@@ -14,7 +14,7 @@ from calibration.fitting.damage.conditions import change_presses, dim, relight
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.fitting.limits.folds import divide_presses
-from calibration.fitting.limits.gel_limits import choose_limits
+from calibration.fitting.limits.gel_limits import LimitsChosen, choose_limits
 from calibration.fitting.limits.relief_step import (
     USEFUL,
     ReliefChoice,
@@ -157,12 +157,17 @@ def test_the_finest_tap_is_the_one_with_the_most_cells() -> None:
     assert finest_tap(grid, ["bank"]) is None
 
 
-@pytest.fixture(scope="module")
-def fitted(presses: Presses) -> Fitted:
+def dome_config(**changes: object) -> FitConfig:
+    """How a method that knows no smoother object is fitted."""
     detector = registry.detector("subspace")
     trunk = open_trunk("tactile_resnet18", detector.taps(detector.parameters("corrected")))
-    config = FitConfig("dome", "top", PROFILE, REGION, detector, trunk, threads=1)
-    return fit_files(presses.learnt, config, created="")
+    whole = FitConfig("dome", "top", PROFILE, REGION, detector, trunk, threads=1)
+    return replace(whole, **changes)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def fitted(presses: Presses) -> Fitted:
+    return fit_files(presses.learnt, dome_config(), created="")
 
 
 def test_a_bundle_says_what_it_checks(fitted: Fitted) -> None:
@@ -172,6 +177,19 @@ def test_a_bundle_says_what_it_checks(fitted: Fitted) -> None:
     assert facts["missing_relief"]["tap"] == "layer1"
     assert facts["missing_relief"]["found"] >= USEFUL
     assert {"relief_free", "relief_weights", "relief_unit"} <= set(fitted.manifest.bank)
+
+
+def test_a_bundle_without_a_limit_above_0_says_that_it_checks_nothing(
+    presses: Presses, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There is no unit in which missing relief could count."""
+    monkeypatch.setattr(LimitsChosen, "highest_limit", 0.0)
+    manifest = fit_files(presses.learnt, dome_config(), created="").manifest
+    assert "relief_unit" not in manifest.bank
+    assert (
+        choice_sentence(manifest.facts, MISSING)
+        == "not checked: the limit is 0, and only in units of one above 0 it counts"
+    )
 
 
 def test_a_bundle_fails_a_smoother_object_and_passes_the_part(fitted: Fitted, presses: Presses) -> None:
@@ -196,10 +214,7 @@ def test_places_of_the_gel_with_a_higher_limit_hide_no_missing_relief(
     monkeypatch.setattr(
         fit, "choose_limits", lambda *given: replace(choose_limits(*given), gel_limits=four_times)
     )
-    detector = registry.detector("subspace")
-    trunk = open_trunk("tactile_resnet18", detector.taps(detector.parameters("corrected")))
-    config = FitConfig("dome", "top", PROFILE, REGION, detector, trunk, threads=1, register="always")
-    fitted = fit_files(presses.learnt, config, created="")
+    fitted = fit_files(presses.learnt, dome_config(register="always"), created="")
     scorer, threshold = Scorer(fitted.bundle(), 1), fitted.manifest.threshold
     given, _, nominal, take_changed, *_ = learn.call_args.args
     at_gateway = [scorer.score(rgb).registered for rgb in presses.learnt.frames]

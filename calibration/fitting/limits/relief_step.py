@@ -149,7 +149,7 @@ class ReliefChoice:
 
     def append_to(self, head: bytes, bank: Bank, unit: float) -> tuple[bytes, Bank]:
         """Append the check to head and bank, where there is one. unit: the score at the limit. Errors: FitError."""
-        if self.relief is None or unit <= 0:
+        if self.relief is None:
             return head, bank
         return append(head, bank, {**self.relief, "relief_unit": np.full((1, 1), unit)}, self.tap)
 
