@@ -368,3 +368,16 @@ def test_with_three_presses_a_foreign_picture_is_suspected(tmp_path: Path) -> No
     )
     assert "most likely of another light than the presses" in foreign.faults[0]
     assert own.faults == ()
+
+
+def test_a_recording_given_twice_has_the_pieces_that_it_has_once(recording: Path, tmp_path: Path) -> None:
+    """By its name, or as a copy of its folder, whose presses have other names: no press is a piece of its own twice."""
+    plain = Path(shutil.copytree(recording, tmp_path / "plain"))
+    (plain / "index.jsonl").write_text((plain / "index.jsonl").read_text().replace("specimen", "other"))
+    copy = Path(shutil.copytree(plain, tmp_path / "copy"))
+    once, twice, copied = (
+        read_presses(given, PROFILE, REGION).specimens for given in ([plain], [plain, plain], [plain, copy])
+    )
+    assert once == (None, None, None)
+    assert twice == copied == (*read_presses([plain], PROFILE, REGION).names,) * 2
+    assert read_presses([plain, recording], PROFILE, REGION).specimens == ("0", "0", "1") * 2

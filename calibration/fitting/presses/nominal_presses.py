@@ -19,7 +19,7 @@ from calibration.fitting.presses.free_gel import measure_strengths, view_of
 from calibration.fitting.presses.gel_choice import MIN_PRESSES, choose_free_gel, contact_finder
 from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
 from calibration.fitting.presses.sources import list_pictures
-from calibration.fitting.presses.strangers import find_odd, find_pieces, small_view
+from calibration.fitting.presses.strangers import find_odd, find_pieces, merge_copies, small_view
 from edge.core.contact.mask import Touch, touched
 from edge.core.contact.press_detector import PressDetector
 from edge.core.errors import DatasetError, FitError
@@ -176,7 +176,7 @@ class _Gathered:
         return NominalPresses(
             frames=np.stack(frames),
             names=names,
-            specimens=tuple(press.specimen for press in presses),
+            specimens=tuple(merge_copies(frames, names, [press.specimen for press in presses])),
             touches=() if self.is_doubtful else touches,
             strengths=measure_strengths(views, np.mean(light, axis=0)) if is_seen else (),
             guessed=touches if self.is_doubtful else (),

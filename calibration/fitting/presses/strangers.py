@@ -1,5 +1,6 @@
 """Which presses do not belong to the others, a sentence for each reason that names them and says what to do."""
 
+import hashlib
 import re
 from collections.abc import Sequence
 
@@ -20,6 +21,7 @@ __all__ = [
     "find_pieces",
     "find_repeated",
     "list_names",
+    "merge_copies",
     "small_view",
 ]
 
@@ -190,6 +192,18 @@ def find_copies(names: Sequence[str], frames: Sequence[U8]) -> list[str]:
         f"{list_names([names[k] for k in copies], len(names))} are exact copies of another: they teach nothing; "
         "give each press once"
     ]
+
+
+def merge_copies(
+    frames: Sequence[U8], names: Sequence[str], pieces: Sequence[str | None]
+) -> list[str | None]:
+    """Return the pieces, None where unknown: exact copies are of one, whatever they are named. frames: as above."""
+    first, found = dict[bytes, int](), list(pieces)
+    for k in sorted(range(len(frames)), key=lambda k: pieces[k] is None):
+        original = first.setdefault(hashlib.sha256(frames[k].tobytes()).digest(), k)
+        if original != k:
+            found[original] = found[k] = found[original] or names[original]
+    return found
 
 
 def find_repeated(
