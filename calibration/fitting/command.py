@@ -42,7 +42,7 @@ from edge.core.errors import BundleError, ConfigError, FitError, StoreError
 from edge.core.imaging.known_profiles import profile
 from edge.core.printable import write_count
 from edge.core.suggest import suggestion
-from edge.model.archive import MANIFEST, open_archive
+from edge.model.archive import MANIFEST, ZipArchive, open_archive
 
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
@@ -252,8 +252,10 @@ def make(work: "Callable[..., Fitted]", output: Path, overwrite: bool) -> None:
 
 
 def refuse_existing(output: Path, overwrite: bool, *, is_bundle: bool = True) -> None:
-    """Check before any work that nothing is overwritten, and there is a folder to write in. is_bundle: what is written
-    is one, and no other file. Errors: ConfigError."""
+    """Check before any work that nothing is overwritten but a bundle, and there is a folder to write in. is_bundle:
+    what is written is one, and no other file. Errors: ConfigError."""
+    if not is_bundle and os.path.isdir(output):
+        raise ConfigError(f"{output} is a folder, and a file is written; choose another name")
     if os.path.isdir(output) and os.listdir(output) and not os.path.isfile(output / MANIFEST):
         raise ConfigError(
             f"{output} is a folder that holds no bundle, and is not replaced; choose another name"
@@ -262,6 +264,8 @@ def refuse_existing(output: Path, overwrite: bool, *, is_bundle: bool = True) ->
         raise ConfigError(f"{output} is a file, not a bundle, and is not replaced; choose another name")
     if os.path.exists(output) and not overwrite:
         raise ConfigError(f"{output} exists already; choose another name or add --overwrite")
+    if is_bundle and (os.path.isfile(output) or (os.path.isdir(output) and os.listdir(output))):
+        _refuse_foreign(output)
     above = next(folder for folder in output.absolute().parents if os.path.exists(folder))
     try:
         tempfile.TemporaryDirectory(dir=above).cleanup()
@@ -269,6 +273,30 @@ def refuse_existing(output: Path, overwrite: bool, *, is_bundle: bool = True) ->
         raise ConfigError(
             f"{output} cannot be written: {above} is no folder to write in; choose another place"
         ) from error
+
+
+def _refuse_foreign(output: Path) -> None:
+    """Errors: ConfigError for a folder or zip to be replaced that is no bundle, or holds what is none of its files."""
+    from edge.model.bundle import MAX_MANIFEST_BYTES, parse_manifest
+    from edge.model.signature import SIGNATURE
+
+    try:
+        archive = open_archive(output)
+        manifest = parse_manifest(archive.read(MANIFEST, MAX_MANIFEST_BYTES), str(output))
+    except BundleError as error:
+        raise ConfigError(
+            f"{output} is no bundle, and is not replaced; choose another name ({error})"
+        ) from error
+    if isinstance(archive, ZipArchive):
+        names = archive.names()
+    else:
+        inside = (path for path in output.rglob("*") if path.is_symlink() or not path.is_dir())
+        names = [str(path.relative_to(output)) for path in inside]
+    if foreign := sorted({*names} - {MANIFEST, SIGNATURE, *(entry.file for entry in manifest.files)}):
+        raise ConfigError(
+            f"{output} holds {foreign[0]}, which is no file of its bundle, and is not replaced; move it away or "
+            "choose another name"
+        )
 
 
 def next_revision(output: Path) -> int:

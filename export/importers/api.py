@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from calibration.fitting.command import refuse_existing
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
 from calibration.fitting.trunks import open_trunk
 from calibration.progress import Report
@@ -122,8 +123,7 @@ def import_detector(
     BundleCorrupt where the packed bank does not score as the full one; FileExistsError, OSError.
     """
     source, target = Path(file), Path(output)
-    if target.exists() and not overwrite:
-        raise ConfigError(f"{target} exists already; choose another name or allow it to be replaced")
+    refuse_existing(target, overwrite)
     licence = stated_licence(options.licence, f"{source} and of its weights")
     sensor = known_profile(options.profile)
     with read_foreign(source) as foreign:

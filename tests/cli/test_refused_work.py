@@ -3,6 +3,7 @@
 import errno
 import os
 import struct
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from unittest.mock import Mock
@@ -64,6 +65,26 @@ def fit_link_to_nothing(bench: Bench) -> list[object]:
 def fit_over_own_pictures(bench: Bench) -> list[object]:
     picture(bench.folder / "own/a.png", 320, 240)
     return [*fit("own"), "-o", "own", "--overwrite"]
+
+
+def fit_over_a_project(bench: Bench) -> list[object]:
+    (bench.folder / "web").mkdir()
+    (bench.folder / "web/manifest.json").write_text('{"name": "my web page"}')
+    (bench.folder / "web/thesis.tex").write_text("ten years")
+    return [*fit("presses"), "-o", "web", "--overwrite"]
+
+
+def fit_over_a_bundle_with_more(bench: Bench) -> list[object]:
+    bench.bundle("kept")
+    (bench.folder / "kept/notes").mkdir()
+    (bench.folder / "kept/notes/thesis.tex").write_text("ten years")
+    return [*fit("presses"), "-o", "kept", "--overwrite"]
+
+
+def fit_over_a_zip(bench: Bench) -> list[object]:
+    with zipfile.ZipFile(bench.folder / "web.zip", "w") as archive:
+        archive.writestr("thesis.tex", "ten years")
+    return [*fit("presses"), "-o", "web.zip", "--overwrite"]
 
 
 def fit_free_gel_alone(bench: Bench) -> list[object]:
@@ -151,6 +172,16 @@ REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]]
     ),
     "fit over its own pictures": (
         fit_over_own_pictures, 3, ("own is a folder that holds no bundle, and is not replaced; choose another name",),
+    ),
+    "fit over a folder whose manifest.json is another program's": (
+        fit_over_a_project, 3, ("web is no bundle, and is not replaced", "manifest.json is not a gelgate manifest"),
+    ),
+    "fit over a bundle beside which there is more": (
+        fit_over_a_bundle_with_more, 3, ("kept holds notes/thesis.tex, which is no file of its bundle",),
+    ),
+    "fit over a zip that is no bundle": (fit_over_a_zip, 3, ("web.zip is no bundle, and is not replaced",)),
+    "write a graph over a folder": (
+        lambda _: ["export", "merge", "bundle", "-o", "presses", "--overwrite"], 3, ("presses is a folder, and a file",)
     ),
     "fit from the pictures of the free gel alone": (
         fit_free_gel_alone, 3, ("every picture of the presses is given as one of the free gel too",),

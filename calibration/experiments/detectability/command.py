@@ -9,6 +9,7 @@ import typer
 from calibration.experiments.detectability.study import Plan, Row, Settings, plan, run
 from calibration.experiments.harness.rows import Rows
 from calibration.experiments.harness.study import require_known
+from calibration.fitting.command import refuse_existing
 from calibration.fitting.damage.damage import KINDS
 from calibration.fitting.options import NoContact, Part, Pattern, Position, Resize, Seed, Threads
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
@@ -62,6 +63,8 @@ def detectability(
     require_known("damage", kind or (), KINDS)
     settings = Settings(tuple(dict.fromkeys(kind or KINDS)), presses, spacing, seed, threads)
     loaded = Bundle.load(bundle)
+    if write:
+        refuse_existing(bundle, overwrite=True)
     own, sensor = loaded.manifest, loaded.profile
     found = find_sources(sources, part or own.part, position or own.position, sensor.size)
     how: dict[str, Any] = {"no_contact": no_contact or (), "resize": resize, "pattern": pattern}
