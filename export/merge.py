@@ -4,17 +4,19 @@ Its inputs and outputs are those of a bundle's pair of graphs, so the gateway al
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter
 
 from calibration.fitting.bundle_measurements import score_again
+from edge.core.detector import Bank
 from edge.core.errors import BundleCorrupt, BundleMismatch
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.imaging.tiles import TILES_KEY, Tiles
 from edge.model.bundle import Bundle, Graphs
 from edge.model.bundle_writer import bundle_files, facts_of, write_bundle, write_file
-from edge.model.manifest import Manifest
+from edge.model.manifest import REGION_WEIGHTS, Manifest
 from edge.model.pipe import SCORE, SCORE_MAP
 from edge.model.scorer import Scorer
 from export.onnx_values import join, rename
@@ -176,13 +178,17 @@ def _metadata(bundle: Bundle) -> dict[str, str]:
 
 def single_graph_bundle(bundle: Bundle, graph: bytes) -> tuple[Manifest, dict[str, bytes]]:
     """The manifest and files of a bundle with one graph in place of trunk, head and bank; the rest is kept."""
-    golden, pictures = bundle.golden, bundle.nominal_pictures
+    golden, pictures, gateway = bundle.golden, bundle.nominal_pictures, dict[str, Any]()
     if bundle.free_gel is not None:
         # The single graph runs every tile, so it is compared with the pair running every tile.
         scorer = Scorer(bundle, is_skipping=False)
         golden = tuple(score_again(frame, scorer) for frame in golden)
+    if bundle.manifest.regions is not None:  # by which the gateway knows what of a press is judged
+        bank = Bank({REGION_WEIGHTS: bundle.bank[REGION_WEIGHTS]})
+        gateway = {"bank": bank, "free_view": bundle.free_view}
+    graphs = Graphs(detector=graph)
     return bundle_files(
-        facts_of(bundle.manifest), Graphs(detector=graph), golden=golden, nominal_pictures=pictures
+        facts_of(bundle.manifest), graphs, golden=golden, nominal_pictures=pictures, **gateway
     )
 
 

@@ -287,9 +287,9 @@ class Manifest(Facts):
     """The complete manifest of a bundle.
 
     Either `backbone`, `head` and `bank` (a trunk, a small graph and arrays), or only `detector`: a single graph from
-    frames to score map, such as a third party's. free_gel: the region without contact, where tiles may be skipped.
-    free_view: the whole gel as contact detection sees it, by which a start on a pressed gel is noticed.
-    nominal_pictures: what people are shown beside a press; None in old bundles.
+    frames to score map, such as a third party's, whose bank has at most the weights of drawn regions. free_gel: the
+    region without contact, where tiles may be skipped. free_view: the whole gel as contact detection sees it, by which
+    a start on a pressed gel is noticed. nominal_pictures: what people are shown beside a press; None in old bundles.
     """
 
     backbone: BackboneEntry | None = None
@@ -305,7 +305,8 @@ class Manifest(Facts):
     @model_validator(mode="after")
     def _whole(self) -> "Manifest":
         pair = self.backbone is not None and self.head is not None and self.grid is not None
-        single = self.detector is not None and not (self.backbone or self.head or self.bank)
+        arrays = self.bank.keys() - {REGION_WEIGHTS}  # the gateway reads it too
+        single = self.detector is not None and not (self.backbone or self.head or arrays)
         if pair == single or (pair and self.detector is not None):
             raise ValueError("a bundle has either backbone, head and grid, or a single detector graph")
         if self.grid is not None and self.grid.frame != self.frame:

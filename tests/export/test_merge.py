@@ -16,7 +16,7 @@ from calibration.fitting.regions.drawing import draw_regions
 from edge.core.drawn_regions import DrawnRegion
 from edge.core.errors import BundleCorrupt, BundleMismatch
 from edge.model.bundle import Bundle, GoldenFrame
-from edge.model.bundle_writer import write_bundle
+from edge.model.bundle_writer import facts_of, rewrite_files, write_bundle
 from edge.model.manifest import REGION_WEIGHTS
 from edge.model.scorer import Scorer
 from export import merge
@@ -60,18 +60,32 @@ def test_a_smoothed_bundle_smooths_in_the_graph(tmp_path: Path) -> None:
 
 
 def test_drawn_regions_are_in_the_graph(bundle: Bundle, tmp_path: Path) -> None:
-    """Another runtime weighs the map as the gateway does."""
-    golden = GoldenFrame(tiny.presses(1)[0], "a press", 0.0, ((0.0,),))
-    path = write_bundle(tmp_path / "plain", tiny.tiny_files(tiny.tiny_bank(0.47, "int8"), golden=[golden])[1])
+    """Another runtime weighs the map as the gateway does, which itself knows of the bundle around the graph what of a
+    press is judged."""
+    touching, gel = tiny.presses(1)[0], np.full((120, 160, 3), 128, np.uint8)
+    touching[4:28, 4:16], touching[4:28, 16:28] = 255, 0
+    golden = GoldenFrame(touching, "a press", 0.0, ((0.0,),))
+    _, files = rewrite_files(bundle, facts_of(bundle.manifest), [golden], free_view=gel)
+    path = write_bundle(tmp_path / "plain", files)
     seam = DrawnRegion("seam", "stricter", ((0.5, 0.5), (1.5, 0.5), (1.5, 1.5)), 3.0)
-    frames, drawn = tiny.presses(3), draw_regions(path, [seam], None, 1).bundle()
-    score_map, score = ort.InferenceSession(merged_graph(drawn)).run(
+    logo = DrawnRegion("logo", "ignore", ((0.1, 0.1), (0.4, 0.1), (0.4, 0.4)))
+    fitted = draw_regions(path, [seam, logo], None, 1)
+    frames, drawn = tiny.presses(3), fitted.bundle()
+    fitted.write(tmp_path / "drawn")
+    ran("export", "merge", tmp_path / "drawn", "-o", tmp_path / "detector.onnx")
+    ran("export", "merge", tmp_path / "drawn", "-o", tmp_path / "single", "--as-bundle")
+    score_map, score = ort.InferenceSession(tmp_path / "detector.onnx").run(
         ["score_map", "score"], {"frames": frames}
     )
     plain = np.stack([one.score_map for one in Scorer(bundle).score_batch(frames)])
     np.testing.assert_allclose(score_map, plain * drawn.bank[REGION_WEIGHTS], rtol=1e-5, atol=1e-7)
     np.testing.assert_array_equal(score, score_map.max(axis=(1, 2)))
     assert (score_map != plain).any()
+    single = Bundle.load(tmp_path / "single")
+    assert [one.anomaly_score for one in Scorer(single).score_batch(frames)] == score.tolist()
+    assert single.manifest.regions == drawn.manifest.regions
+    np.testing.assert_array_equal(single.blind, drawn.blind)
+    np.testing.assert_array_equal(single.free_region, drawn.free_region)
 
 
 def test_the_file_says_what_it_is(bundle: Bundle) -> None:
