@@ -7,7 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from calibration.fitting.carry import MOST_CHANGE
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.clock import SystemClock
 from edge.core.errors import ArchiveError, FitError, NotScorable, PoseNotFound
 from edge.core.imaging.decode import decode
@@ -40,6 +41,7 @@ __all__ = [
     "Comparison",
     "ConfirmedPresses",
     "compare",
+    "join_pieces",
     "judge_presses",
     "read_confirmed",
     "score_refused",
@@ -66,6 +68,8 @@ class ConfirmedPress:
     press: ArchivedPress
     said: PersonVerdict
     frame: bytes
+    piece: str
+    """What the presses of one piece have in common."""
     refused_score: float | None = None
     """The score that the bundle would have given, had it not refused it for its colours."""
 
@@ -190,12 +194,16 @@ def read_confirmed(
     with open_read_only(database, "reading what people said") as connection:
         said = read_verdicts(connection)
         rows = connection.execute(
-            "SELECT press_id, evidence, serial, gel_id FROM presses WHERE part = ? AND position = ? ORDER BY number",
+            "SELECT press_id, evidence, second_of, piece_id, serial, gel_id FROM presses "
+            "WHERE part = ? AND position = ? ORDER BY number",
             part,
         ).fetchall()
         found.new_gel = unproven_gel(connection, bundle_id)
     if found.new_gel is not None:
-        found.on_new_gel = {row[0] for row in rows if row[2:] == found.new_gel[:2]}
+        found.on_new_gel = {row[0] for row in rows if row[4:] == found.new_gel[:2]}
+    pieces = dict[str, str]()
+    for press_id, _, first, piece_id, *_ in rows:
+        pieces[press_id] = piece_id or pieces.get(first, first or press_id)
     for press_id, evidence, *_ in reversed(rows):
         verdict = settle(said.get(press_id, ()))
         is_doubted = any(word.saying == "damaged" for word in said.get(press_id, ()))
@@ -217,7 +225,8 @@ def read_confirmed(
             found.left_out.append(f"{error}{unknown}")
             continue
         is_here = press_id in found.on_new_gel and verdict.saying == "good"
-        found.add(ConfirmedPress(press, verdict, frame, score_anyway(press, frame) if is_here else None))
+        score = score_anyway(press, frame) if is_here else None
+        found.add(ConfirmedPress(press, verdict, frame, pieces[press_id], score))
     found.leave_out_far()
     return found
 
@@ -227,6 +236,20 @@ def write_pictures(presses: Sequence[ConfirmedPress], folder: Path) -> None:
     folder.mkdir()
     for one in presses:
         write_picture(one.press, one.frame, folder)
+
+
+def join_pieces(presses: NominalPresses, confirmed: Sequence[ConfirmedPress]) -> NominalPresses:
+    """Return the presses; those of the station that are of one piece, by its count, have one. presses: read from what
+    `write_pictures` has written, and others."""
+    names = [Path(name).stem for name in presses.names]
+    specimens = list(presses.specimens)
+    for piece in {one.piece for one in confirmed}:
+        ids = {one.press.press_id for one in confirmed if one.piece == piece}
+        rows = [k for k, name in enumerate(names) if name in ids]
+        known = [specimens[k] for k in rows if specimens[k] is not None]
+        for k in rows if len(rows) > 1 else ():
+            specimens[k] = known[0] if known else presses.names[rows[0]]
+    return replace(presses, specimens=tuple(specimens))
 
 
 def write_picture(press: ArchivedPress, frame: bytes, folder: Path) -> Path:

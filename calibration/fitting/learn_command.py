@@ -64,7 +64,7 @@ def learn(given: LearnArguments) -> None:
     """
     from calibration.fitting.fit import Fitted, fit_files
     from calibration.fitting.fit_again import configure_again, read_again
-    from calibration.fitting.learn import write_pictures
+    from calibration.fitting.learn import join_pieces, write_pictures
     from calibration.fitting.regions.drawing import draw_again
 
     refuse_existing(given.output, given.overwrite)
@@ -84,6 +84,7 @@ def learn(given: LearnArguments) -> None:
             leave_out=given.leave_out or (),
             say=typer.echo,
         )
+    presses = join_pieces(presses, confirmed.good)
     _warn_without_gel(old, presses)
     warn_of_lost(old)
     learnt = [k for k, name in enumerate(presses.names) if name.startswith(f"{pictures.name}/")]

@@ -57,6 +57,23 @@ def test_what_is_called_good_is_learnt_and_what_is_called_damaged_is_still_found
     assert (station.old / "manifest.json").read_bytes() == before
 
 
+def test_presses_of_one_piece_are_one_in_the_promise(station: Judged) -> None:
+    """A second press of a piece, and one that names the same piece."""
+    first, second, _, third, *_ = station.ids
+    execute(
+        station.database,
+        f"UPDATE presses SET second_of = '{first}' WHERE press_id = '{second}'",
+        f"UPDATE presses SET piece_id = 'P1' WHERE press_id IN ('{first}', '{third}')",
+    )
+    station.say({0: "good", 1: "good", 3: "good", 5: "good"})
+
+    done = learn(station)
+
+    assert done.code == 0, done.err
+    limit = Bundle.load(station.new).manifest.threshold
+    assert (limit.n, limit.pieces) == (12, 10)
+
+
 @pytest.mark.parametrize("words", [{}, {3: "cannot_tell", 5: "gel"}])
 def test_without_a_good_word_nothing_is_learnt(station: Judged, words: Mapping[int, str]) -> None:
     station.say(words)
@@ -301,7 +318,9 @@ def test_on_a_new_gel_a_good_press_is_far_where_it_is_far_from_the_others() -> N
         presses = ConfirmedPresses(new_gel=GelBundle("SIM1", "G2", "bundle"))
         for number, ratio in enumerate(ratios):
             press = Mock(press_id=f"{number}", score=ratio, threshold=1.0, verdict="fail")
-            presses.good.append(ConfirmedPress(press, PersonVerdict(f"{number}", 0, "kim", "good"), b""))
+            presses.good.append(
+                ConfirmedPress(press, PersonVerdict(f"{number}", 0, "kim", "good"), b"", f"{number}")
+            )
             presses.on_new_gel.add(f"{number}")
         presses.leave_out_far()
         return presses
