@@ -91,13 +91,15 @@ class Lesson:
         object.__setattr__(self, "maps", maps)
 
     @cached_property
-    def held_out(self) -> F32 | None:
-        """Score maps of the nominal presses by banks without them, as `maps`, (n, h, w); None of too few. It takes
-        three fits. Errors: as `fit_files`."""
-        maps = hold_out(self.old, self.nominal, self.config, self.created)
+    def held_out(self) -> tuple[NominalPresses, F32] | None:
+        """The nominal presses that have a score by banks without them, and their maps, as `maps`, (n, h, w); None of
+        too few. It takes three fits. Errors: as `fit_files`."""
+        if (held_out := hold_out(self.old, self.nominal, self.config, self.created)) is None:
+            return None
+        presses, maps = held_out
         for name in (TAUGHT_WEIGHTS, REGION_WEIGHTS):
-            maps = None if maps is None else maps * self.old.bank.get(name, np.float32(1))
-        return maps
+            maps = maps * self.old.bank.get(name, np.float32(1))
+        return presses, maps
 
     @property
     def missed(self) -> list[int]:
@@ -105,10 +107,13 @@ class Lesson:
         return [k for k, score in enumerate(self.scores) if self.old.manifest.decide(score).kind == "pass"]
 
 
-def hold_out(old: Bundle, nominal: NominalPresses, config: FitConfig, created: str) -> F32 | None:
-    """Score each nominal press by a fit without it, which has neither taught places nor regions: float32 (n, h, w), in
-    units of the limit, in the pose of the old bundle. None of too few. Errors: as `fit_files`; FitError for a limit as
-    earlier versions made it, for these fits have another one."""
+def hold_out(
+    old: Bundle, nominal: NominalPresses, config: FitConfig, created: str
+) -> tuple[NominalPresses, F32] | None:
+    """Score each nominal press by a fit without it, which has neither taught places nor regions. Return those that have
+    a score, for others are never judged, and their maps: float32 (n, h, w), in units of the limit, in the pose of the
+    old bundle. None of too few. Errors: as `fit_files`; FitError for a limit as earlier versions made it, for these
+    fits have another one."""
     if len(nominal) < FEWEST_HELD_OUT:
         return None
     if "limit_grid" in old.bank and "limit_usual" not in old.bank:
@@ -116,13 +121,14 @@ def hold_out(old: Bundle, nominal: NominalPresses, config: FitConfig, created: s
             f"bundle {old.where} has a limit of an earlier version, so what its nominal presses would score without "
             "them is not known; fit it again"
         )
-    maps = np.zeros(nominal.frames.shape[:3], np.float32)
+    scores, maps = np.zeros(len(nominal)), np.zeros(nominal.frames.shape[:3], np.float32)
     for first in range(_FOLDS):
         held = list(range(first, len(nominal), _FOLDS))
         rest = nominal.choose([k for k in range(len(nominal)) if k % _FOLDS != first])
         without = fit_files(rest, config, created=created).bundle()
-        maps[held] = _see(Scorer(without, config.threads), nominal.choose(held), old)[1]
-    return maps
+        scores[held], maps[held] = _see(Scorer(without, config.threads), nominal.choose(held), old)
+    kept = np.flatnonzero(scores < np.inf).tolist()
+    return (nominal.choose(kept), maps[kept]) if len(kept) >= FEWEST_HELD_OUT else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,17 +191,17 @@ def lower_place(lesson: Lesson) -> Remedy | str:
     piece with the places that the others choose.
     """
     old, held_out = lesson.old, lesson.held_out
-    pieces = np.array(pieces_of(lesson.nominal.specimens))
-    if held_out is None or len(set(pieces)) == 1:
+    if held_out is None or len(set(pieces_of(held_out[0].specimens))) == 1:
         return f"place: of one piece, or fewer than {FEWEST_HELD_OUT} presses, none can be held out"
+    (sound, maps), pieces = held_out, np.array(pieces_of(held_out[0].specimens))
     if faint := [name for k, name in enumerate(lesson.damaged.names) if lesson.maps[k].max() < _LEAST_SHOWN]:
         return f"place: {', '.join(faint)} shows nowhere above {_LEAST_SHOWN:.0%} of the limit"
-    near, scores = _spread(lesson, held_out), np.zeros(len(held_out))
+    near, scores = _spread(lesson, maps), np.zeros(len(maps))
     for piece in set(pieces):
         weights = _weigh(lesson, near[pieces != piece].max(axis=0))
-        scores[pieces == piece] = (held_out[pieces == piece] * weights).max(axis=(1, 2))
+        scores[pieces == piece] = (maps[pieces == piece] * weights).max(axis=(1, 2))
     value, usual = old.manifest.threshold.value, near.max(axis=0)
-    limit = promise_at(scores * value, value, old.manifest.threshold.alpha, lesson.nominal.specimens)
+    limit = promise_at(scores * value, value, old.manifest.threshold.alpha, sound.specimens)
     if limit is None:
         return "place: every sound press would fail"
     x_mm, y_mm = old.profile.mm_per_pixel
@@ -229,9 +235,9 @@ def why_not(lesson: Lesson) -> list[str]:
     held_out = lesson.held_out
     if held_out is None:
         return []
-    near = _spread(lesson, held_out)
+    near = _spread(lesson, held_out[1])
     places = [(k, _find_place(lesson, k, near.max(axis=0))) for k in lesson.missed]
-    names, sound = lesson.damaged.names, lesson.nominal.names
+    names, sound = lesson.damaged.names, held_out[0].names
     return [_name_nearest(lesson.old, names[k], lesson.maps[k], at, sound, near) for k, at in places]
 
 

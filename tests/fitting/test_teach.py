@@ -22,11 +22,12 @@ from calibration.fitting.teach import Lesson, Remedy, change_method, lower_limit
 from calibration.fitting.teach_command import _fit_method
 from edge.core.detector import Bank
 from edge.core.drawn_regions import DrawnRegion, DrawnRegions
+from edge.core.errors import NotScorable
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import Bundle
 from edge.model.manifest import REGION_WEIGHTS
-from edge.model.scorer import Scorer
+from edge.model.scorer import Scored, Scorer
 from edge.store.history import HistoryQuery, read_history
 
 SIDE = 128
@@ -211,9 +212,25 @@ def test_the_cost_of_a_place_is_counted_on_presses_that_did_not_choose_it(lesson
     place = lower_place(taught)
     assert isinstance(place, Remedy)
     assert taught.held_out is not None
-    by_all = taught.held_out * place.fitted.bundle().bank[TAUGHT_WEIGHTS]
+    by_all = taught.held_out[1] * place.fitted.bundle().bank[TAUGHT_WEIGHTS]
 
     assert place.alarms == 1 + int((by_all.max(axis=(1, 2)) > 1).sum())
+
+
+def test_a_press_that_has_no_score_is_no_trial(lesson: Lesson, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A station never judges such a one, so it is none of the sound presses that pass."""
+    score, unseen = Scorer.score, [lesson.nominal.frames[k].tobytes() for k in (3, 4)]
+
+    def refuse(scorer: Scorer, rgb: np.ndarray) -> Scored:
+        if rgb.tobytes() in unseen:
+            raise NotScorable("its score is no finite number")
+        return score(scorer, rgb)
+
+    monkeypatch.setattr(Scorer, "score", refuse)
+    place = lower_place(dataclasses.replace(lesson))
+    assert isinstance(place, Remedy)
+    assert place.fitted.manifest.threshold.n == 18
+    assert place.rate == pytest.approx(1 / 19)
 
 
 def test_of_few_presses_no_place_is_tried(lesson: Lesson) -> None:

@@ -163,16 +163,17 @@ def find_promise(
     """Return the threshold with what it promises with these regions, by fits that each leave out a part of the nominal
     presses. Errors: FitError for too few, and where every sound press would fail."""
     limit = old.manifest.threshold
-    maps = hold_out(old, nominal, config, created)
-    if maps is None:
+    held_out = hold_out(old, nominal, config, created)
+    if held_out is None:
         raise FitError(
-            f"{len(nominal)} nominal presses say nothing of a stricter region, at least {FEWEST_HELD_OUT} are needed; "
-            "give those of the fit"
+            f"of the {len(nominal)} nominal presses at least {FEWEST_HELD_OUT} with a score are needed, which tell "
+            "what a stricter region costs; give those of the fit"
         )
     weights = weigh_places(regions, old.manifest.frame, old.profile.mm_per_pixel)
+    sound, maps = held_out
     maps = maps * old.bank.get(TAUGHT_WEIGHTS, np.float32(1))
     scores = (maps * weights).max(axis=(1, 2)) * limit.value
-    found = promise_at(scores, limit.value, limit.alpha, nominal.specimens)
+    found = promise_at(scores, limit.value, limit.alpha, sound.specimens)
     if found is None:
         highest = maps[:, weights > 1].max(axis=1)
         usual, most = float(np.median(highest)), float(highest.max())
