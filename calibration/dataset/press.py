@@ -5,7 +5,7 @@ belongs to a shape when its centre is inside.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -204,8 +204,10 @@ def split_by_specimen(presses: Sequence[LabelledPress], held_out: float, seed: i
     )
 
 
-def empty_masks(where: str, defective: Sequence[LabelledPress], masks: NDArray[np.bool_]) -> list[str]:
-    """A sentence if some defective presses show no damage. masks: of the inspected region, bool (n, h, w)."""
+def empty_masks(
+    where: str, defective: Sequence[LabelledPress], masks: Iterable[NDArray[np.bool_]]
+) -> list[str]:
+    """A sentence if some defective presses show no damage. masks: of the inspected region, bool (h, w) each."""
     empty = [press.path.name for press, mask in zip(defective, masks, strict=True) if not mask.any()]
     if not empty:
         return []

@@ -38,6 +38,7 @@ def as_table(evaluation: Evaluation) -> str:
         lines.append(
             f"{e.seen_specimens} specimens have other presses in the fit: the good scores are optimistic"
         )
+    lines += e.remarks
     lines += ["", f"{'measure':<20}{'value':>9}   {'95 % over images':<20}{'95 % over specimens':<20}"]
     lines += [_row(m) for m in e.measures]
     lines += [

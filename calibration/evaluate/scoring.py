@@ -1,5 +1,6 @@
 """Scoring a bundle on a dataset. Presses that the bundle was fitted on are left out; their specimens are counted."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dataset import Dataset, LabelledPress, open_dataset, resolution_of
+from calibration.dataset.press import empty_masks, repeated_pictures
 from calibration.metrics import Measure, measure
 from calibration.progress import Show
 from calibration.threads import one_blas_thread
@@ -74,6 +76,17 @@ class Evaluation:
     def unsure(self) -> tuple[int, int]:
         """Good and defective presses that are too near the threshold for a verdict."""
         return self._count(Kind.UNSURE, is_defective=False), self._count(Kind.UNSURE, is_defective=True)
+
+    @property
+    def remarks(self) -> list[str]:
+        """Sentences on what may be a mistake of the dataset: empty masks, and copies of pictures."""
+        where, presses = self.dataset.root.name, [one.press for one in self.scored]
+        defective = [one for one in self.scored if one.press.is_defective]
+        digests = [hashlib.sha256(press.path.read_bytes()).digest() for press in presses]
+        return [
+            *empty_masks(where, [one.press for one in defective], [one.mask for one in defective]),
+            *repeated_pictures(where, presses, digests),
+        ]
 
     def _count(self, kind: Kind, *, is_defective: bool) -> int:
         """Count how many presses of this truth get this verdict."""

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from calibration.metrics.pixel import Maps, Masks, check_pairs
-from edge.core.arrays import F64
+from edge.core.arrays import F64, Mask
 
 __all__ = ["AUPIMO_BOUNDS", "aupimo_means"]
 
@@ -22,9 +22,19 @@ AUPIMO_BOUNDS = (1e-5, 1e-4)
 _SPARE = 2
 
 
-def aupimo_means(maps: Maps, masks: Masks, weights: F64, bounds: tuple[float, float] = AUPIMO_BOUNDS) -> F64:
-    """The mean over defective images for each row of `weights`, (weightings, images); NaN where undefined."""
-    table = _recall_table(maps, masks, bounds)
+def aupimo_means(
+    maps: Maps,
+    masks: Masks,
+    weights: F64,
+    bounds: tuple[float, float] = AUPIMO_BOUNDS,
+    is_defective: Mask | None = None,
+) -> F64:
+    """The mean over defective images for each row of `weights`, (weightings, images); NaN where undefined.
+
+    is_defective: bool (images,), by the masks unless given; a defective image with an empty mask is neither good nor
+    has it a recall.
+    """
+    table = _recall_table(maps, masks, bounds, is_defective)
     values = np.full(weights.shape[0], np.nan)
     if table is None:
         return values
@@ -38,7 +48,7 @@ def aupimo_means(maps: Maps, masks: Masks, weights: F64, bounds: tuple[float, fl
 
 
 def _recall_table(
-    maps: Maps, masks: Masks, bounds: tuple[float, float]
+    maps: Maps, masks: Masks, bounds: tuple[float, float], is_defective: Mask | None
 ) -> tuple[F64, F64, list[int], list[int]] | None:
     """Recalls (defective, thresholds) strictly above each falling good score, and the share of one pixel there.
 
@@ -49,7 +59,8 @@ def _recall_table(
     if not 0 < bounds[0] < bounds[1] <= 1:
         raise ValueError(f"the bounds are 0 < lower < upper <= 1, found {bounds}")
     has_defect = np.array([bool(k.any()) for k in masks], np.bool_)
-    good, defective = np.flatnonzero(~has_defect).tolist(), np.flatnonzero(has_defect).tolist()
+    is_good = ~has_defect if is_defective is None else ~(has_defect | is_defective)
+    good, defective = np.flatnonzero(is_good).tolist(), np.flatnonzero(has_defect).tolist()
     if not good or not defective:
         return None
     tops = []

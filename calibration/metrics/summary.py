@@ -80,7 +80,7 @@ def measure(
         "pixel_auroc": pixel.auroc,
         "pixel_auprc": pixel.average_precision,
         limit_name(limit): pixel.aupro,
-        f"aupimo_{low}_{high}": aupimo_means(maps, masks, weights),
+        f"aupimo_{low}_{high}": aupimo_means(maps, masks, weights, is_defective=label),
     }
     reason = _why_undefined(label, masks)
     return tuple(_measure(name, column, images.shape[0], reason) for name, column in columns.items())

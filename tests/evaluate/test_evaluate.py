@@ -155,6 +155,19 @@ def test_reports(tmp_path: Path, evaluation: Evaluation) -> None:
     assert [row[40, 3, ::-1].tolist() for row in rows] == [PASS, FAIL, FAIL, PASS]
 
 
+def test_likely_mistakes_of_the_dataset_are_said(tmp_path: Path, dataset: Path) -> None:
+    """Damage outside the inspected region, and a picture that is there twice."""
+    (mask, *_) = sorted((dataset / "ground_truth" / "dent").iterdir())
+    cv2.imwrite(str(mask), np.zeros((40, 48), np.uint8))
+    good = dataset / "test" / "good"
+    shutil.copy(good / "bolt_test_s001_p01.png", good / "bolt_test_s003_p09.png")
+    evaluation = run(bundle(tmp_path, threshold=0.1), dataset)
+    table = as_table(evaluation)
+    assert "1 of the 4 defective presses of bolt has an empty mask in the inspected region" in table
+    assert "bolt has 1 copy of other pictures, such as 'bolt_test_s003_p09.png'" in table
+    assert {one.name: one.value for one in evaluation.measures}["aupimo_1e-5_1e-4"] == 1.0
+
+
 @pytest.mark.parametrize("pose", [None, Pose(0.0, 0.0, 0.0), Pose(8.0, 0.0, 0.0)])
 def test_the_sheet_has_the_outlines_of_drawn_regions(evaluation: Evaluation, pose: Pose | None) -> None:
     """In both panels, where the part lies."""

@@ -148,6 +148,19 @@ def test_what_has_no_measure_is_refused(limit: float) -> None:
         auroc(np.arange(3.0), np.array([True, False]))
 
 
+def test_a_defective_press_with_an_empty_mask_is_no_good_image() -> None:
+    """Its map is high, as it should be: as a good image it would raise the threshold for the others."""
+    maps, masks, scores, _ = presses(np.random.default_rng(0))
+    maps, label = maps.copy(), np.arange(30) < 15
+    maps[0] = 10.0
+    marked, unmarked = masks.copy(), masks.copy()
+    marked[0], unmarked[0] = True, False
+    whole, half = (
+        by_name(measure(maps, some, scores, is_defective=label, replicates=0)) for some in (marked, unmarked)
+    )
+    assert half["aupimo_1e-5_1e-4"].value == pytest.approx(15 / 14 * whole["aupimo_1e-5_1e-4"].value - 1 / 14)
+
+
 def presses(
     rng: np.random.Generator, specimens: int = 6, each: int = 5
 ) -> tuple[Array, Array, Array, list[str]]:
