@@ -55,6 +55,7 @@ def regions(given: RegionsArguments) -> None:
     score map is weighed by the regions before the verdict, and with registration they follow the part. The new bundle
     is not signed.
     """
+    from calibration.fitting.limits.map_limit import WINDOW_MM
     from calibration.fitting.regions.drawing import draw_regions, write_regions
     from edge.model.bundle import Bundle
     from edge.model.manifest_facts import promise
@@ -73,6 +74,12 @@ def regions(given: RegionsArguments) -> None:
     manifest = fitted.manifest
     said = manifest.regions.describe() if manifest.regions else ""
     typer.echo(said or "no region is drawn any more")
+    new = fitted.bundle()
+    if new.blind is not None and "limit_window_up_rows" in new.bank:
+        typer.echo(
+            f"a change in an ignored place hides faint damage within {3 * WINDOW_MM:g} mm of it, for a press is "
+            "compared with its surroundings (docs/limits.md)"
+        )
     typer.echo(f"false alarms: {promise(manifest.threshold)}")
     typer.echo(f"revision {manifest.revision} written to {given.output}")
 

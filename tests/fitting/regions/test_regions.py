@@ -22,13 +22,14 @@ from calibration.fitting.regions.drawing import draw_again, draw_regions, parse_
 from calibration.fitting.teach import hold_out
 from edge.clock import SystemClock
 from edge.core.contact.mask import Touch
+from edge.core.detector import Bank
 from edge.core.drawn_regions import DrawnRegion, DrawnRegions
 from edge.core.errors import FitError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.press import Press
 from edge.core.registration.pose import Pose
 from edge.model.bundle import Bundle, Graphs
-from edge.model.bundle_writer import bundle_files, write_bundle
+from edge.model.bundle_writer import bundle_files, facts_of, rewrite_files, write_bundle
 from edge.model.inspector import Inspector
 from edge.model.manifest import REGION_WEIGHTS
 from edge.model.scorer import Scored, Scorer
@@ -130,6 +131,22 @@ def test_regions_that_would_lie_elsewhere_are_refused_with_the_way_on() -> None:
     old = replace(old, manifest=old.manifest.model_copy(update={"regions": regions}))
     with pytest.raises(FitError, match=r"to another pose.*--remove 'logo' -o PLAIN`, and use PLAIN instead"):
         draw_again(old, new, None, None, "2026-01-01")  # type: ignore[arg-type]
+
+
+def test_where_an_ignored_place_counts_in_the_surroundings_it_is_said(
+    inspected: Judged, tmp_path: Path
+) -> None:
+    """Only of a bundle whose limit has surroundings, and where something is ignored."""
+    old = Bundle.load(inspected.old)
+    window = Bank({**old.bank, "limit_window_up_rows": np.ones((1, 1), np.float32)})
+    files = rewrite_files(old, facts_of(old.manifest), old.golden, bank=window)[1]
+    bundle = write_bundle(tmp_path / "surroundings", files)
+
+    plain = draw(inspected, tmp_path / "plain", "--add", DENT)
+    around = draw(inspected, tmp_path / "around", "--add", DENT, bundle=bundle)
+
+    said = "a change in an ignored place hides faint damage within 2.25 mm of it"
+    assert [said in one.out for one in (plain, around)] == [False, True]
 
 
 def test_a_stricter_region_finds_a_fainter_dent_and_promises_anew(inspected: Judged, tmp_path: Path) -> None:
