@@ -12,7 +12,12 @@ from calibration.fitting.presses.nominal_presses import (
     is_recording,
     read_presses,
 )
-from calibration.fitting.presses.sources import check_present, find_sources, list_pictures
+from calibration.fitting.presses.sources import (
+    check_present,
+    find_sources,
+    list_pictures,
+    name_apart,
+)
 from calibration.fitting.trunks import open_trunk
 from edge import registry
 from edge.core.errors import FitError
@@ -104,8 +109,18 @@ def _settings(old: Bundle) -> Mapping[str, Any]:
 
 
 def _left_out_before(sources: Sequence[Path], names: Sequence[str], pattern: str | None) -> list[str]:
-    """Choose the presses that are still among the sources, of those that the old bundle left out."""
-    recordings = {source.name for source in sources if is_recording(source)}
-    pictures = list_pictures([source for source in sources if not is_recording(source)], pattern)
-    there = {f"{path.parent.name}/{path.name}" for path in pictures}
-    return [name for name in names if name in there or name.rpartition("#")[0] in recordings]
+    """Name the presses that are still among the sources, of those that the old bundle left out. A name is the end of a
+    path, as long as was needed among the sources of then."""
+    recordings = [source for source in sources if is_recording(source)]
+    files = list_pictures([source for source in sources if source not in recordings], pattern)
+    ends = {f"/{name.lstrip('/')}" for name in names}
+    there = [
+        name
+        for path, name in zip(files, name_apart(files, 2), strict=True)
+        if any(path.absolute().as_posix().endswith(end) for end in ends)
+    ]
+    numbered = [end.rpartition("#") for end in sorted(ends) if "#" in end]
+    for folder, name in zip(recordings, name_apart(recordings, 1), strict=True):
+        path = folder.absolute().as_posix()
+        there += [f"{name}#{number}" for end, _, number in numbered if path.endswith(end)]
+    return there

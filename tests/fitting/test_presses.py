@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calibration.fitting.fit_again import _left_out_before
 from calibration.fitting.presses.nominal_presses import MAX_NO_CONTACT, NominalPresses, read_presses
 from edge.core.errors import DatasetError, FitError, RecordingError
 from edge.core.imaging.image_bytes import with_comment
@@ -381,3 +382,40 @@ def test_a_recording_given_twice_has_the_pieces_that_it_has_once(recording: Path
     assert once == (None, None, None)
     assert twice == copied == (*read_presses([plain], PROFILE, REGION).names,) * 2
     assert read_presses([plain, recording], PROFILE, REGION).specimens == ("0", "0", "1") * 2
+
+
+def test_pictures_of_folders_that_are_named_alike_have_names_of_their_own(tmp_path: Path) -> None:
+    """Each can be left out alone, and each picture of the free gel counts."""
+    for k, name in enumerate("ab"):
+        for number in range(2):
+            (tmp_path / name).mkdir(exist_ok=True)
+            write(tmp_path / name / "rgb", f"p{number}.png", gel(k, (60 + 20 * k, 50 + 20 * number)))
+        write(tmp_path / name / "free", "f.png", gel(8 + k))
+    given, free = ([tmp_path / name / folder for name in "ab"] for folder in ("rgb", "free"))
+
+    presses = read_presses(given, PROFILE, REGION, no_contact=free, leave_out=["b/rgb/p1.png"])
+
+    assert presses.names == ("a/rgb/p0.png", "a/rgb/p1.png", "b/rgb/p0.png")
+    assert presses.no_contact is not None
+    assert len(presses.no_contact) == 2
+    assert _left_out_before([given[1]], presses.left_out, None) == ["rgb/p1.png"]
+    assert _left_out_before([given[0]], presses.left_out, None) == []
+    with pytest.raises(
+        FitError, match=r"several presses are named 'rgb/p1.png'.*: a/rgb/p1.png, b/rgb/p1.png"
+    ):
+        read_presses(given, PROFILE, REGION, leave_out=["rgb/p1.png"])
+    twice = read_presses([given[0], given[0]], PROFILE, REGION)
+    assert twice.names == ("rgb/p0.png", "rgb/p1.png") * 2
+
+
+def test_presses_of_recordings_that_are_named_alike_have_names_of_their_own(
+    recording: Path, tmp_path: Path
+) -> None:
+    """What was left out of one is left out again, whatever else is given."""
+    one, other = (Path(shutil.copytree(recording, tmp_path / name / "three")) for name in "ab")
+    both = read_presses([one, other], PROFILE, REGION)
+    assert [name.partition("#")[0] for name in both.names] == ["a/three"] * 3 + ["b/three"] * 3
+    assert _left_out_before([other], [both.names[4], "rgb/p1.png"], None) == [
+        both.names[4].removeprefix("b/")
+    ]
+    assert _left_out_before([other], [both.names[1]], None) == []

@@ -18,7 +18,7 @@ from calibration.dataset.press import numbered
 from calibration.fitting.presses.free_gel import measure_strengths, view_of
 from calibration.fitting.presses.gel_choice import MIN_PRESSES, choose_free_gel, contact_finder
 from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
-from calibration.fitting.presses.sources import list_pictures
+from calibration.fitting.presses.sources import list_pictures, name_apart
 from calibration.fitting.presses.strangers import find_odd, find_pieces, merge_copies, small_view
 from edge.core.contact.mask import Touch, touched
 from edge.core.contact.press_detector import PressDetector
@@ -221,9 +221,9 @@ def read_presses(
     gathered = _Gathered(profile, region, unwanted=frozenset(leave_out or ()))
     free_files = list_pictures(no_contact or ())
     free = _pictures(free_files, profile, resize)
-    for source in sources:
-        if is_recording(source):
-            _read_recording(source, gathered)
+    recordings = [source for source in sources if is_recording(source)]
+    for source, name in zip(recordings, name_apart(recordings, 1), strict=True):
+        _read_recording(source, name, gathered)
     files = list_pictures([source for source in sources if not is_recording(source)], pattern)
     given_twice = [path for path in files if any(path.samefile(one) for one in free_files)]
     if files and given_twice == files:
@@ -232,9 +232,11 @@ def read_presses(
         )
     files = [path for path in files if path not in given_twice]
     pictures = _pictures(files, profile, resize)
-    names = [f"{path.parent.name}/{path.name}" for path, _ in pictures]
+    names = name_apart([path for path, _ in pictures], 2)
     kept = [k for k, name in enumerate(names) if name not in gathered.unwanted]
-    given = {f"{path.parent.name}/{path.name}": picture for path, picture in free}
+    given = dict(
+        zip(name_apart([path for path, _ in free], 2), (picture for _, picture in free), strict=True)
+    )
     gathered.choose_gel([pictures[k][1] for k in kept], given)
     # Presses of a recording were made one by one, and a robot may repeat them well.
     pieces = [specimens.get(path) or specimen_of(path) for path, _ in pictures]
@@ -246,6 +248,8 @@ def read_presses(
         gathered.add(picture, name, piece, contact(picture))
     for name in sorted(gathered.unwanted - set(gathered.left_out)):
         known = [press.name for press in gathered.presses]
+        if alike := [one for one in known if one.endswith(f"/{name}")]:
+            raise FitError(f"several presses are named '{name}'; say which is left out: {', '.join(alike)}")
         raise FitError(f"no press is named '{name}' to be left out; {suggestion(name, known)}")
     if not gathered.presses and gathered.refused:
         raise FitError("no press was found: " + "; ".join(gathered.refused))
@@ -279,8 +283,8 @@ def specimen_of(path: Path) -> str | None:
     return name.specimen if name else None
 
 
-def _read_recording(folder: Path, gathered: _Gathered) -> None:
-    """Every press that settles, and the free gel before each."""
+def _read_recording(folder: Path, name: str, gathered: _Gathered) -> None:
+    """Every press that settles, and the free gel before each. name: of the recording, in the names of its presses."""
     recording, finder = Recording.open(folder), PressFinder(gathered.profile)
     specimens: dict[int, object] = {}
     for recorded in recording:
@@ -289,7 +293,7 @@ def _read_recording(folder: Path, gathered: _Gathered) -> None:
             if isinstance(found, FoundPress):
                 number, rgb = found.frame.sequence, decode(found.frame, gathered.profile)
                 piece = None if specimens[number] is None else str(specimens[number])
-                gathered.add(rgb, f"{folder.name}#{number}", piece, found.mask)
+                gathered.add(rgb, f"{name}#{number}", piece, found.mask)
             elif len(gathered.free) < MAX_NO_CONTACT:
                 gathered.free.append(decode(found, gathered.profile))
     if finder.detector.newest is None:

@@ -16,7 +16,7 @@ from calibration.dataset.files import SUFFIXES
 from edge.core.errors import ConfigError, DatasetError, FitError
 from edge.recording.from_images import images_in
 
-__all__ = ["Sources", "check_present", "find_sources", "is_dataset", "list_pictures"]
+__all__ = ["Sources", "check_present", "find_sources", "is_dataset", "list_pictures", "name_apart"]
 
 DEFAULT_POSITION = "default"
 
@@ -138,6 +138,20 @@ def list_pictures(sources: Sequence[Path], pattern: str | None = None) -> list[P
         if not f"{file.parent.name}/{file.name}".isprintable():  # a manifest and sentences name it so
             raise FitError(f"the name {str(file)!a} cannot be printed; rename the file, and its folder")
     return files
+
+
+def name_apart(paths: Sequence[Path], parts: int) -> list[str]:
+    """Name paths by so many of their last parts, 1 or 2, and by more where others would have the same name."""
+    names = [path.name if parts == 1 else f"{path.parent.name}/{path.name}" for path in paths]
+    whole = [path.absolute().parts for path in paths]
+    for name in {name for name in names if names.count(name) > 1}:
+        alike, more = [k for k, one in enumerate(names) if one == name], parts
+        different = len({whole[k] for k in alike})
+        while len({whole[k][-more:] for k in alike}) < different:
+            more += 1
+        for k in alike if different > 1 else ():
+            names[k] = "/".join(whole[k][-more:])
+    return names
 
 
 def _refuse_strays(folder: Path, found: Sequence[Path]) -> None:
