@@ -83,9 +83,15 @@ def _frames(opened: "Bundle", sources: list[Path]) -> "tuple[NDArray[np.uint8], 
         .select(manifest.part, manifest.position)
         .defective
     ]
-    pictures = [region.crop(press.rgb()) for press in damaged if press.size == sensor.size]
-    masks = [region.crop(press.mask()) for press in damaged if press.size == sensor.size]
-    return presses.frames, (pictures, masks)
+    if wrong := [press.path for press in damaged if press.size != sensor.size]:
+        typer.echo(
+            f"warning: {len(wrong)} of {len(damaged)} damaged pictures are not {sensor.size[0]}x{sensor.size[1]}, and "
+            f"tell nothing of AU-PRO, such as {wrong[0]}",
+            err=True,
+        )
+    damaged = [press for press in damaged if press.size == sensor.size]
+    pictures = [region.crop(press.rgb()) for press in damaged]
+    return presses.frames, (pictures, [region.crop(press.mask()) for press in damaged])
 
 
 def _print(precisions: "Precisions", choice: "Measured") -> None:

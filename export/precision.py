@@ -9,7 +9,7 @@ float32 otherwise.
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,9 @@ from calibration.quantise import halved, layers, quantise_graph
 from edge.core.errors import BundleMismatch, FitError
 from edge.model.bundle import Bundle
 from edge.model.bundle_writer import facts_of, rewrite_files
+from edge.model.detectability import CARD
 from edge.model.manifest import Manifest
+from edge.model.manifest_facts import DAMAGE_FOUND
 from edge.model.scorer import Scorer
 from edge.model.session import saturates
 from export.finish import paint_square
@@ -43,6 +45,9 @@ WORTH = 0.9
 CALIBRATION_FRAMES = 32
 ALONE_FRAMES = 4
 TIMED_RUNS = 15
+
+# What a manifest says of the damage that its limit finds.
+_OF_OLD_LIMIT: Final = (CARD, DAMAGE_FOUND)
 
 Masked = tuple[Sequence[NDArray[np.uint8]], Sequence[NDArray[np.bool_]]]
 """Frames with the masks of their defects, for AU-PRO."""
@@ -143,8 +148,8 @@ def in_precision(
 ) -> tuple[Manifest, dict[str, bytes]]:
     """The bundle with this network: its golden frames, tolerance, costs and card are measured again.
 
-    The threshold rises by the largest rise of a nominal score, so nominal presses fail no more often than before.
-    Errors: FitError where the score maps differ by more than the limit.
+    The threshold rises by the largest rise of a nominal score, so nominal presses fail no more often than before. What
+    damage the old one finds is then said no more. Errors: FitError where the score maps differ by more than the limit.
     """
     allowed = precisions.limit if choice.precision == "int8" else STORAGE_LIMIT
     if choice.map_difference > allowed:
@@ -154,8 +159,9 @@ def in_precision(
         )
     network = _with_network(bundle, choice.graph)
     manifest = bundle.manifest
-    threshold = manifest.threshold
+    threshold, kept = manifest.threshold, dict(manifest.facts)
     if choice.rise > 0:
+        kept = {name: fact for name, fact in kept.items() if name not in _OF_OLD_LIMIT}
         words = f"{threshold.method}, raised by {choice.rise:.3g} for {choice.precision}"
         threshold = threshold.model_copy(update={"value": threshold.value + choice.rise, "method": words})
     card: dict[str, Any] = {
@@ -163,7 +169,7 @@ def in_precision(
         "int8_exact_here": precisions.is_int8_exact,
         **{each.precision: each.card() for each in precisions.results},
     }
-    changed = {"threshold": threshold, "facts": {**manifest.facts, "precision": card}}
+    changed = {"threshold": threshold, "facts": {**kept, "precision": card}}
     facts = facts_of(manifest).model_copy(update=changed)
     scorer = Scorer(Bundle.in_memory(*rewrite_files(bundle, facts, (), **network), bundle.where), threads)
     golden = [score_again(frame, scorer) for frame in bundle.golden]

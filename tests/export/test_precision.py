@@ -16,7 +16,9 @@ from edge.core.errors import BundleMismatch, FitError
 from edge.core.imaging.marker_dots import MarkerDots
 from edge.model.bundle import Bundle, GoldenFrame, Graphs
 from edge.model.bundle_writer import bundle_files, write_bundle
+from edge.model.detectability import CARD
 from edge.model.manifest import DotsEntry
+from edge.model.manifest_facts import DAMAGE_FOUND
 from edge.model.scorer import Scorer, map_peaks
 from export import precision as module
 from export.precision import Measured, Precisions, choose_precision, in_precision, measure_precisions
@@ -139,10 +141,16 @@ def test_int8_is_chosen_by_the_probe_the_clock_and_the_maps(
 def test_the_new_bundle_scores_and_says_how_it_was_measured(plain: Bundle, found: Precisions) -> None:
     """Golden frames hold again; the threshold rose by the largest rise of a nominal score; the card has every row."""
     choice = dataclasses.replace(found.of("int8"), rise=0.25)
+    facts = {CARD: {"smallest_mm": 0.05}, DAMAGE_FOUND: "dent of 0.1 mm 6 of 6", "licence": "Apache-2.0"}
+    manifest = plain.manifest.model_copy(update={"facts": facts})
+    plain = dataclasses.replace(plain, manifest=manifest)
     small = Bundle.in_memory(*in_precision(plain, found, choice, FRAMES))
     Scorer(small).check_golden()
     assert small.manifest.threshold.value == 4.25
     assert small.manifest.threshold.method.endswith("raised by 0.25 for int8")
+    assert set(small.manifest.facts) == {"licence", "precision"}  # the limit of before found more
+    same = in_precision(plain, found, found.of("float32"), FRAMES)[0]
+    assert set(same.facts) == {*facts, "precision"}
     card = small.manifest.facts["precision"]
     assert card["chosen"] == "int8"
     assert {"float32", "float16", "int8", "int8_exact_here"} < set(card)
@@ -199,5 +207,18 @@ def test_the_command(plain: Bundle, tmp_path: Path) -> None:
     choice = Bundle.load(tmp_path / "out").manifest.facts["precision"]["chosen"]
     assert choice in ("float32", "float16", "int8")  # which one is the fastest is a fact of the machine
     assert f"chosen: {choice}\n" in said
+    damaged = tmp_path / "bolt" / "test" / "dent"
+    for number, height in enumerate((40, 80)):
+        picture = RNG.integers(90, 160, (height, 48, 3), dtype=np.uint8)
+        for path in (damaged / f"{number}.png", tmp_path / f"bolt/ground_truth/dent/{number}_mask.png"):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(path), picture)
+    (tmp_path / "good").rename(damaged.parent / "good")
+    write_bundle(tmp_path / "t", tiny.tiny_files(position="test")[1])
+    said = gelgate("export", "precision", tmp_path / "t", tmp_path / "bolt", "-o", tmp_path / "out2").err
+    assert (
+        f"warning: 1 of 2 damaged pictures are not 48x40, and tell nothing of AU-PRO, such as {damaged}/1"
+        in said
+    )
     refused = gelgate(*words, "--precision", "int4", "--overwrite").sentence()
     assert "--precision is auto, float32, float16, int8; found 'int4'" in refused
