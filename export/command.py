@@ -203,6 +203,7 @@ def tiles(
     from edge import registry
     from edge.core.errors import ConfigError
     from edge.core.imaging.tiles import tiling
+    from edge.model.bundle_writer import write_file
     from plugins.backbones.tiled import tile_trunk
 
     refuse_existing(output, overwrite, is_bundle=False)
@@ -215,7 +216,7 @@ def tiles(
         known = ", ".join(registry.names("backbones"))
         raise ConfigError(f"{trunk} is neither a file nor an installed backbone ({known})")
     plain = trunk.read_bytes() if trunk.is_file() else registry.backbone(str(trunk)).trunk()
-    output.write_bytes(tile_trunk(plain, layout))
+    write_file(output, tile_trunk(plain, layout))
     typer.echo(
         f"{output}: {len(layout)} tiles of {size} over {frame}, rows {layout.rows}, columns {layout.columns}"
     )

@@ -166,6 +166,12 @@ def test_the_command_tiles_an_installed_backbone(tmp_path: Path) -> None:
     assert "8 tiles of 64 over 160x96" in done.output
     metadata = session(output.read_bytes()).get_modelmeta().custom_metadata_map
     assert Tiles.read(metadata[TILES_KEY]) == TILES
+    before = output.read_bytes()
+    (tmp_path / "link.onnx").hardlink_to(output)
+    other = ["--frame", "160x96", "--overlap", "0", "--overwrite"]
+    CliRunner().invoke(build(), [*arguments, *other], catch_exceptions=False)
+    assert output.read_bytes() != before
+    assert (tmp_path / "link.onnx").read_bytes() == before  # never half of it
     for wrong in (["--frame", "40x40"], ["--frame", "wide"], ["--overlap", "64", "--frame", "160x96"]):
         with pytest.raises(ConfigError, match="--frame"):
             CliRunner().invoke(build(), [*arguments, *wrong, "--overwrite"], catch_exceptions=False)
