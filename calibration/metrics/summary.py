@@ -41,9 +41,8 @@ class Measure:
 
 
 def limit_name(limit: float) -> str:
-    """`aupro_fpr01` for a limit of 0.01: the name of the measure contains its limit."""
-    digits = f"{limit:.6f}".rstrip("0").split(".")[1] if limit < 1 else "1"
-    return f"aupro_fpr{digits}" if digits else "aupro_fpr1"
+    """Name AU-PRO by its limit: `aupro_fpr01` for 0.01, by the digits behind the point; `aupro_fpr1.0` for 1."""
+    return f"aupro_fpr{f'{limit:.12f}'.rstrip('0').split('.')[1]}" if limit < 1 else "aupro_fpr1.0"
 
 
 def measure(

@@ -227,7 +227,14 @@ def test_a_specimen_moves_as_one_and_classes_are_kept() -> None:
 
 
 def test_the_name_carries_the_limit() -> None:
-    named = {0.01: "aupro_fpr01", 0.3: "aupro_fpr3", 0.05: "aupro_fpr05", 1.0: "aupro_fpr1"}
+    named = {
+        0.01: "aupro_fpr01",
+        0.3: "aupro_fpr3",
+        0.05: "aupro_fpr05",
+        0.1: "aupro_fpr1",
+        1.0: "aupro_fpr1.0",
+    }
+    named[1e-7] = "aupro_fpr0000001"
     assert {limit: limit_name(limit) for limit in named} == named
 
 
