@@ -419,3 +419,16 @@ def test_presses_of_recordings_that_are_named_alike_have_names_of_their_own(
         both.names[4].removeprefix("b/")
     ]
     assert _left_out_before([other], [both.names[1]], None) == []
+
+
+def test_further_pages_of_a_picture_are_said(tmp_path: Path) -> None:
+    """A TIFF of three presses is one press, and a scan of one page is nothing to speak of."""
+    pages = [
+        cv2.imdecode(np.frombuffer(gel(k, (60 + 20 * k, 60)), np.uint8), cv2.IMREAD_COLOR) for k in range(3)
+    ]
+    (tmp_path / "good").mkdir()
+    cv2.imwritemulti(str(tmp_path / "good" / "a.tif"), pages)
+    cv2.imwrite(str(tmp_path / "good" / "b.tif"), pages[1])
+    (said,) = read_presses([tmp_path / "good"], PROFILE, REGION).faults
+    assert said.startswith("1 of 2 pictures have further pages, which are not read (")
+    assert "good/a.tif' has 3): save each page as a picture of its own" in said

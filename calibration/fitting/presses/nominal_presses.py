@@ -242,7 +242,7 @@ def read_presses(
     pieces = [specimens.get(path) or specimen_of(path) for path, _ in pictures]
     same, pieces, film = find_pieces(names, [small_view(picture) for _, picture in pictures], pieces)
     gathered.film = () if gathered.presses else tuple(kept.index(k) for k in film if k in kept)
-    gathered.faults += same
+    gathered.faults += [*same, *_name_pages([*files, *free_files])]
     contact = _contacts(gathered.free)
     for name, piece, (_, picture) in zip(names, pieces, pictures, strict=True):
         gathered.add(picture, name, piece, contact(picture))
@@ -342,6 +342,19 @@ def _pictures(
             + "\n  ".join(faults)
         )
     return found
+
+
+def _name_pages(files: Sequence[Path]) -> list[str]:
+    """Name the files with further pages, of which the first alone is read."""
+    paged = [
+        path for path in files if path.suffix.lower() in (".tif", ".tiff") and cv2.imcount(str(path)) > 1
+    ]
+    if not paged:
+        return []
+    return [
+        f"{len(paged)} of {len(files)} pictures have further pages, which are not read ('{paged[0]}' has "
+        f"{cv2.imcount(str(paged[0]))}): save each page as a picture of its own"
+    ]
 
 
 def require_light(path: Path, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
