@@ -168,6 +168,18 @@ def test_a_press_without_a_name_is_of_the_piece_that_it_is_the_same_as(again: Pr
     assert found == ["1"] * 4
 
 
+def test_of_many_presses_those_that_differ_at_one_place_are_told_apart() -> None:
+    """Most are told apart by a few places; these two only by all."""
+    rng = np.random.default_rng(3)
+    views = list(rng.integers(90, 150, (250, 120, 160, 3), np.uint8))
+    views[40] = views[200] ^ 1
+    views[41] = views[200].copy()
+    views[41][51:57, 61:67] += 30
+    (said,), found = find_repeated([f"{k}.png" for k in range(250)], views, [None] * 250)
+    assert said.startswith("1 of 250 presses ('200.png') are the same as another")
+    assert {k for k, piece in enumerate(found) if piece} == {40, 200}
+
+
 def test_of_presses_that_are_darker_and_brighter_no_false_level_is_said() -> None:
     """The level is that of the one that is named with it."""
     views = [np.full((120, 160, 3), level, np.uint8) for level in (99, 99, 59, 99, 179, 99)]

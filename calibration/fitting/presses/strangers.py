@@ -33,6 +33,7 @@ _STRANGE_LEVELS, _STRANGE_TIMES = 6.0, 3.0
 # Two presses of one part in a fixture differ by 2.8 levels and more at some place of 0.4 mm, two frames of one press by
 # 1.1, a copy that was compressed again by 1.
 _SAME_LEVELS, _PLACE_PX = 2.0, 1.5
+_COARSE = 4
 # In a film a frame differs from the next one by this share of what any two do at most, and most frames are most like a
 # neighbour: of a rolling finger by 0.34, and 83 % are; of seven sets of presses one by one by 0.95 and more, and 15 %.
 _FEWEST_FRAMES, _MOST_FRAMES, _FILM_SHARE, _LEAST_SPREAD = 8, 48, 0.5, 0.1
@@ -214,15 +215,23 @@ def find_repeated(
     Returns the pieces too, None where unknown: copies, and presses that are the same without another piece's name, are
     of one piece, so that none is held out while another is learnt.
     """
-    broad = _blur(views)
     same, found = list[str](), list(pieces)
-    named_first = sorted(range(len(broad)), key=lambda k: pieces[k] is None)
-    for place, k in enumerate(named_first[1:], 1):
-        away = {one: float(np.abs(broad[k] - broad[one]).max()) for one in named_first[:place]}
-        first = min(away, key=away.__getitem__)
-        is_copy, is_same = away[first] == 0, away[first] < _SAME_LEVELS
-        same += [names[k]] if is_same and not is_copy else []
-        if is_copy or (is_same and found[k] is None):
+    if not views:
+        return same, found
+    named_first = sorted(range(len(views)), key=lambda k: pieces[k] is None)
+    broad = np.stack(_blur(views))[named_first]
+    few = broad[:, ::_COARSE, ::_COARSE].reshape(
+        len(broad), -1
+    )  # where two differ here, they are not the same
+    for place, k in enumerate(named_first):
+        near = np.flatnonzero(np.abs(few[:place] - few[place]).max(axis=1) < _SAME_LEVELS).tolist()
+        away = {one: float(np.abs(broad[place] - broad[one]).max()) for one in near}
+        nearest = min(away, key=away.__getitem__, default=None)
+        if nearest is None or not away[nearest] < _SAME_LEVELS:
+            continue
+        first, is_copy = named_first[nearest], away[nearest] == 0
+        same += [] if is_copy else [names[k]]
+        if is_copy or found[k] is None:
             found[first] = found[k] = found[first] or names[first]
     if not same:
         return [], found
