@@ -94,6 +94,22 @@ def test_the_published_limit_is_one() -> None:
     assert chosen.threshold.by_press.alarms == above <= 1
 
 
+def test_an_alarm_of_the_guard_is_counted() -> None:
+    """One press has a spike, and another lies so high as a whole that the guard fails it: two alarms, and pieces, of
+    what is compared, one of the contrasts."""
+    background = np.zeros((PRESSES, SIDE, SIDE))
+    background[0] = 5
+    background[1, 2, 2] = 1
+    pieces = (*(f"piece {k}" for k in range(PRESSES - 1)), f"piece {PRESSES - 2}")
+    found = replace(evidence(background, 9.0), alpha=0.1, specimens=pieces)
+    chosen = choose_limit(found).other
+    assert chosen is not None
+    assert sum(score > 1 for score in chosen.threshold.nominal_scores) == 2
+    assert chosen.threshold.by_press is not None
+    assert chosen.threshold.by_piece is not None
+    assert (chosen.threshold.by_press.alarms, chosen.threshold.by_piece.alarms) == (2, 2)
+
+
 def test_new_sound_presses_fail_no_more_than_promised() -> None:
     """Over 20 bundles of presses that differ as wholes at most 5 % of new presses fail."""
     rates = []

@@ -26,7 +26,7 @@ from calibration.fitting.limits.map_limit import (
     make_window,
     relate,
 )
-from calibration.fitting.limits.threshold import conformal_threshold, pieces_of
+from calibration.fitting.limits.threshold import conformal_threshold, count_alarms, pieces_of
 from edge.core.arrays import F64, Mask
 from edge.core.press_again import KnownScores
 from edge.model.again_facts import PRESS_AGAIN, score_facts
@@ -215,7 +215,8 @@ def _compare_surroundings(evidence: Evidence) -> OtherLimit | None:
     damaged = evidence.held_out.edited.weigh(relate(limit, evidence.held_out.edited.maps))
     return OtherLimit(
         limit,
-        threshold.model_copy(update=changed),
+        # Also a raw score above the guard is an alarm.
+        count_alarms(threshold.model_copy(update=changed), scores, evidence.specimens),
         scores,
         damaged.max(axis=(1, 2)),
         evidence.find_damage(damaged > 1),

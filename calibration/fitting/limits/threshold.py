@@ -36,6 +36,7 @@ __all__ = [
     "FLOOR_MARGIN",
     "check_alpha",
     "conformal_threshold",
+    "count_alarms",
     "count_needed",
     "limit_promise",
     "of_copies",
@@ -113,6 +114,19 @@ def _promise(alarms: int, trials: int) -> RatePromise:
     return RatePromise(trials=trials, alarms=alarms, rate=rate, confidence=CONFIDENCE)
 
 
+def count_alarms(
+    limit: ThresholdEntry,
+    scores: Sequence[float] | NDArray[np.float64],
+    specimens: Sequence[str | None] = (),
+) -> ThresholdEntry:
+    """Promise what these scores of its presses show: how many presses, and pieces, lie above the limit's value."""
+    keys = pieces_of(specimens or (None,) * len(scores))
+    most = limit.value + ROUNDING * abs(limit.value)
+    high = [key for key, score in zip(keys, scores, strict=True) if score > most]
+    by_piece = None if limit.by_piece is None else _promise(len(set(high)), len(set(keys)))
+    return limit.model_copy(update={"by_press": _promise(len(high), len(keys)), "by_piece": by_piece})
+
+
 def promise_at(
     scores: Sequence[float] | NDArray[np.float64],
     value: float,
@@ -121,16 +135,12 @@ def promise_at(
 ) -> ThresholdEntry | None:
     """State what a limit of this value promises: the smallest rate, from alpha on, whose own threshold is no higher.
     None where every rate's is. Parameters and errors otherwise as `conformal_threshold`."""
-    keys = pieces_of(specimens or (None,) * len(scores))
-    pieces = len(set(keys))
+    pieces = len(set(pieces_of(specimens or (None,) * len(scores))))
     steps = (k / (pieces + 1) for k in range(1, pieces + 1))
     for rate in (alpha, *(step for step in steps if step > alpha)):
         found = conformal_threshold(scores, rate, specimens=specimens)
         if found.value <= value:
-            high = [key for key, score in zip(keys, scores, strict=True) if score > value]
-            by_piece = None if found.by_piece is None else _promise(len(set(high)), pieces)
-            by_press = _promise(len(high), len(keys))
-            return found.model_copy(update={"value": value, "by_press": by_press, "by_piece": by_piece})
+            return count_alarms(found.model_copy(update={"value": value}), scores, specimens)
     return None
 
 
