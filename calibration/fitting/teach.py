@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import measure_tolerance, score_again
 from calibration.fitting.fit import Fitted, fit_files
@@ -110,10 +111,10 @@ class Lesson:
 def hold_out(
     old: Bundle, nominal: NominalPresses, config: FitConfig, created: str
 ) -> tuple[NominalPresses, F32] | None:
-    """Score each nominal press by a fit without it, which has neither taught places nor regions. Return those that have
-    a score, for others are never judged, and their maps: float32 (n, h, w), in units of the limit, in the pose of the
-    old bundle. None of too few. Errors: as `fit_files`; FitError for a limit as earlier versions made it, for these
-    fits have another one."""
+    """Score each nominal press by a fit without its piece, which has neither taught places nor regions. Return those
+    that have a score, for others are never judged, and their maps: float32 (n, h, w), in units of the limit, in the
+    pose of the old bundle. None of too few. Errors: as `fit_files`; FitError for a limit as earlier versions made it,
+    for these fits have another one."""
     if len(nominal) < FEWEST_HELD_OUT:
         return None
     if "limit_grid" in old.bank and "limit_usual" not in old.bank:
@@ -122,13 +123,25 @@ def hold_out(
             "them is not known; fit it again"
         )
     scores, maps = np.zeros(len(nominal)), np.zeros(nominal.frames.shape[:3], np.float32)
-    for first in range(_FOLDS):
-        held = list(range(first, len(nominal), _FOLDS))
-        rest = nominal.choose([k for k in range(len(nominal)) if k % _FOLDS != first])
+    fold = _share_out(nominal.specimens, len(nominal))
+    for one in range(_FOLDS):
+        held = np.flatnonzero(fold == one).tolist()
+        rest = nominal.choose(np.flatnonzero(fold != one).tolist())
         without = fit_files(rest, config, created=created).bundle()
         scores[held], maps[held] = _see(Scorer(without, config.threads), nominal.choose(held), old)
     kept = np.flatnonzero(scores < np.inf).tolist()
     return (nominal.choose(kept), maps[kept]) if len(kept) >= FEWEST_HELD_OUT else None
+
+
+def _share_out(specimens: Sequence[str | None], presses: int) -> NDArray[np.intp]:
+    """Return the fold of each press. Presses of one piece share theirs, or a bank would know the piece that it is to
+    judge; of fewer pieces than folds, or where too few presses would be left, each press is taken alone."""
+    pieces = pieces_of(specimens or (None,) * presses)
+    number = {piece: k for k, piece in enumerate(dict.fromkeys(pieces))}
+    fold = np.array([number[piece] % _FOLDS for piece in pieces])
+    held = np.bincount(fold, minlength=_FOLDS)
+    is_enough = held.min() > 0 and presses - held.max() >= FEWEST_HELD_OUT - FEWEST_HELD_OUT // _FOLDS
+    return fold if is_enough else np.arange(presses) % _FOLDS
 
 
 @dataclass(frozen=True, eq=False)

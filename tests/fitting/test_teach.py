@@ -4,6 +4,7 @@ import dataclasses
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnxruntime as ort
@@ -14,11 +15,19 @@ from confirmed_station import Judged, fit
 from station import gel, jpeg
 from tiny_fit import config
 
-from calibration.fitting.fit import fit_files
+from calibration.fitting.fit import Fitted, fit_files
 from calibration.fitting.limits.appended import TAUGHT_WEIGHTS, append
 from calibration.fitting.limits.threshold import conformal_threshold, promise_at
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
-from calibration.fitting.teach import Lesson, Remedy, change_method, lower_limit, lower_place, why_not
+from calibration.fitting.teach import (
+    Lesson,
+    Remedy,
+    change_method,
+    hold_out,
+    lower_limit,
+    lower_place,
+    why_not,
+)
 from calibration.fitting.teach_command import _fit_method
 from edge.core.detector import Bank
 from edge.core.drawn_regions import DrawnRegion, DrawnRegions
@@ -231,6 +240,33 @@ def test_a_press_that_has_no_score_is_no_trial(lesson: Lesson, monkeypatch: pyte
     assert isinstance(place, Remedy)
     assert place.fitted.manifest.threshold.n == 18
     assert place.rate == pytest.approx(1 / 19)
+
+
+@pytest.mark.parametrize(
+    ("pieces", "folds"),
+    [
+        ("aabbccddee", "0011220011"),
+        ("aaaaabbbbb", "0120120120"),  # of two pieces each press is left out alone
+        ("aaaaaaabcd", "0120120120"),  # three presses make no bank
+    ],
+)
+def test_a_press_is_scored_by_a_bank_without_its_piece(
+    lesson: Lesson, monkeypatch: pytest.MonkeyPatch, pieces: str, folds: str
+) -> None:
+    """Or the cost of a place would be that of pieces that the bank knows."""
+    nominal = dataclasses.replace(lesson.nominal.first(10), specimens=tuple(pieces))
+    learnt = []
+
+    def note(rest: NominalPresses, *given: Any, **more: Any) -> Fitted:
+        learnt.append(set(rest.names))
+        return fit_files(rest, *given, **more)
+
+    monkeypatch.setattr("calibration.fitting.teach.fit_files", note)
+    assert hold_out(lesson.old, nominal, lesson.config, "") is not None
+    left_out = [
+        {name for name, k in zip(nominal.names, folds, strict=True) if k == str(fold)} for fold in range(3)
+    ]
+    assert learnt == [{*nominal.names} - held for held in left_out]
 
 
 def test_of_few_presses_no_place_is_tried(lesson: Lesson) -> None:
