@@ -129,6 +129,7 @@ def test_from_nominal_presses_to_a_verdict_at_the_webhook(
     """The folder is a sensor, the detector is fitted, the sink posts and the feature counts, with gelgate's own
     commands. A process that does not see the packages reads the bundle."""
     monkeypatch.syspath_prepend(site)
+    registry._installed.cache_clear()
     registry._points.cache_clear()
     monkeypatch.chdir(tmp_path)
     (tmp_path / "ACME0001").mkdir()
@@ -159,4 +160,5 @@ def test_from_nominal_presses_to_a_verdict_at_the_webhook(
     ) as station:
         station.play()
         assert (station.ask("shifts"), station.raised) == ({"shift 1": 3}, ["shifts"])
+    registry._installed.cache_clear()
     registry._points.cache_clear()
