@@ -233,8 +233,10 @@ class Station:
         """Id, verdict, part and gel of each row that there ever was, in order."""
         path = self.disk.folder / "gelgate.db"
         with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
+            # There is no table where the power was cut and nothing of the file was synced.
+            is_there = connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'presses'").fetchone()
             query = "SELECT press_id, verdict, part, gel_id FROM presses WHERE serial = ? ORDER BY number"
-            return [*self.lost_rows, *connection.execute(query, (SERIAL,))]
+            return [*self.lost_rows, *(connection.execute(query, (SERIAL,)) if is_there else ())]
 
     def bury(self) -> None:
         """The process is dead: its folder is as it was at that point."""
