@@ -22,6 +22,8 @@ _MOST_BY_CHANCE: Final = 0.05
 """A shadow need not wait where the good presses on which the two differ favour it as much as this seldom by chance
 (sign test, McNemar 1947): five of five, or eight of nine."""
 
+_JUDGED: Final = ("pass", "fail", "unsure")
+
 # Presses that are named in a sentence of many.
 _MOST_NAMED: Final = 8
 
@@ -55,6 +57,8 @@ class Weighing:
     """A sentence for each known damage of which it is not known whether the shadow finds it."""
     is_new_gel: bool = False
     """Whether the bundle in use is not proven on the mounted gel, and the shadow has learnt presses of it."""
+    is_by_itself: bool = False
+    """Whether nobody asks for the takeover, and so nobody answers for what the shadow alone passes."""
 
     @property
     def differing(self) -> list[JudgedTwice]:
@@ -84,6 +88,11 @@ class Weighing:
     def lost(self) -> list[str]:
         """Damage that was found and that the shadow passes."""
         return [one.press_id for one in self.presses if one.is_lost]
+
+    @property
+    def unexplained(self) -> list[str]:
+        """Presses that the shadow alone passes, and of which nobody said anything."""
+        return [one.press_id for one in self.differing if one.other == "pass" and one.saying is None]
 
     @property
     def new_alarms(self) -> list[str]:
@@ -122,7 +131,8 @@ class Weighing:
             found.append(
                 "it promises no rate of false alarms: fit it from presses, without a given threshold"
             )
-        compared, least, which = len(self.presses), LEAST_COMPARED, ""
+        both = sum(one.verdict in _JUDGED and one.other in _JUDGED for one in self.presses)
+        compared, least, which = both, LEAST_COMPARED, ""
         if self.is_new_gel:
             compared, least, which = len(self._good), LEAST_ON_NEW_GEL, " that people call good"
         if compared < least and not self.is_clear:
@@ -131,6 +141,9 @@ class Weighing:
             )
         if self.lost:
             found.append(f"it passes damage that was found: {', '.join(self.lost)}")
+        if self.is_by_itself and self.unexplained and not self.is_new_gel:
+            named = ", ".join(self.unexplained[:_MOST_NAMED])
+            found.append(f"it alone passes {named}, and nobody has said what they were")
         if self.new_alarms:
             good = self._good
             now, then = _count(good, "other", passes=False), _count(good, "verdict", passes=False)

@@ -208,7 +208,9 @@ class Shadow(PressStage):
             )
         return partial(self._adopt_if_no_worse, *ids, shadow)
 
-    def _adopt_if_no_worse(self, part: PartPosition, in_use: str, other: str, shadow: Inspector) -> Data:
+    def _adopt_if_no_worse(
+        self, part: PartPosition, in_use: str, other: str, shadow: Inspector, *, is_by_itself: bool = False
+    ) -> Data:
         """Weigh the two, while the loop goes on. Errors: ValueError where the shadow may not take over; StoreError."""
         with open_read_only(self._store.path, "weighing a shadow") as connection:
             learnt = read_learnt(connection, shadow.bundle.manifest.provenance.presses)
@@ -222,7 +224,7 @@ class Shadow(PressStage):
                 connection, part, other, in_use, of_gel if is_new_gel else learnt
             )
         more, unknown = self._judge_missing(missing, shadow, None if is_new_gel else in_use)
-        weighing = Weighing([*both, *more], unknown, is_new_gel=is_new_gel)
+        weighing = Weighing([*both, *more], unknown, is_new_gel=is_new_gel, is_by_itself=is_by_itself)
         doubts = "; ".join(weighing.doubts())
         refusals = weighing.refusals(has_promise=shadow.bundle.manifest.threshold.n > 0)
         if refusals:
@@ -240,7 +242,7 @@ class Shadow(PressStage):
         """Let it take over where it may and was never taken back; else the log says why not."""
         try:
             if not self._store.read("reading takeovers", partial(was_adopted, bundle_id=other)):
-                self._adopt_if_no_worse(part, in_use, other, shadow)
+                self._adopt_if_no_worse(part, in_use, other, shadow, is_by_itself=True)
         except (ValueError, StoreError) as refusal:
             log.info("%s", refusal)
 

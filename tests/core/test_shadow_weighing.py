@@ -43,6 +43,9 @@ def test_what_a_shadow_says_is_written_and_read_again() -> None:
             "1 instead of 0 of the 1 press that people call good",
         ),
         ([*ENOUGH, press(1, "pass", "fail", "good"), press(2, "fail", "pass", "good")], ""),
+        ([*ENOUGH, press(1, "fail", "pass")], ""),
+        ([press(number, "pass", "error") for number in range(200)], "both have judged 0 presses"),
+        ([press(number, "error", "pass") for number in range(200)], "both have judged 0 presses"),
     ],
 )
 def test_a_shadow_takes_over_only_where_it_is_no_worse(presses: Sequence[JudgedTwice], sentence: str) -> None:
@@ -50,6 +53,29 @@ def test_a_shadow_takes_over_only_where_it_is_no_worse(presses: Sequence[JudgedT
 
     assert len(refusals) == bool(sentence)
     assert sentence in "".join(refusals)
+
+
+@pytest.mark.parametrize(
+    ("presses", "is_new_gel", "sentence"),
+    [
+        ([press(1, "fail", "pass")], False, "it alone passes P1, and nobody has said what they were"),
+        (
+            [press(1, "unsure", "pass"), press(2, "error", "pass")],
+            False,
+            "it alone passes P1, P2, and nobody",
+        ),
+        ([press(1, "fail", "pass", "good"), press(2, "pass", "fail")], False, ""),
+        ([press(1, "fail", "pass"), *(press(k, "pass", "pass", "good") for k in range(2, 6))], True, ""),
+    ],
+)
+def test_by_itself_it_takes_over_where_people_explain_what_it_alone_passes(
+    presses: Sequence[JudgedTwice], is_new_gel: bool, sentence: str
+) -> None:
+    """A blind one passes whatever failed, and where nobody speaks no damage is known."""
+    weighing = Weighing([*ENOUGH, *presses], is_new_gel=is_new_gel, is_by_itself=True)
+
+    assert sentence in "".join(weighing.refusals(has_promise=True))
+    assert bool(weighing.refusals(has_promise=True)) == bool(sentence)
 
 
 FALSE = [press(number, "fail", "pass", "good") for number in range(5)]
