@@ -11,6 +11,7 @@ read again after an interruption gives the same presses, and they are not taken 
 """
 
 import hashlib
+import itertools
 import json
 import re
 import threading
@@ -78,7 +79,7 @@ class AcquisitionFolder:
 
     def add(self, payload: bytes, piece: int | None) -> KeptPress:
         """Keep a press; it is on the disk when this returns. Errors: StoreError."""
-        kept = KeptPress(self._write(f"presses/{self._name(piece)}", payload), piece)
+        kept = KeptPress(self._write(self._name(piece), payload), piece)
         self.presses.append(kept)
         self._known[_digest(payload)] = kept
         return kept
@@ -87,7 +88,7 @@ class AcquisitionFolder:
         """Keep a picture of the free gel, if there is room for one. Errors: StoreError."""
         count = len(self.free)
         if count < MOST_FREE:
-            self._write(f"free/free_{count + 1:02d}", payload)
+            self._write(self._unused("free/free_{:02d}", count), payload)
 
     def log(self, signals: Mapping[str, object]) -> None:
         """Append what was printed after a press. Errors: StoreError."""
@@ -103,12 +104,17 @@ class AcquisitionFolder:
 
     def _name(self, piece: int | None) -> str:
         if piece is None:
-            return f"press_{len(self.presses) + 1:04d}"
+            return self._unused("presses/press_{:04d}", len(self.presses))
         of_piece = sum(kept.piece == piece for kept in self.presses)
         where = re.sub(
             r"[^A-Za-z0-9-]+", "-", f"{self.about['part']}_{self.about['position']}".replace("_", "-")
         )
-        return f"{where}_s{piece:03d}_p{of_piece + 1:02d}"
+        return self._unused(f"presses/{where}_s{piece:03d}_p{{:02d}}", of_piece)
+
+    def _unused(self, name: str, kept: int) -> str:
+        """Return the first name after those kept that no file has: people remove pictures."""
+        names = (name.format(number) for number in itertools.count(kept + 1))
+        return next(one for one in names if not any(self.root.glob(f"{one}.*")))
 
     def _write(self, name: str, payload: bytes) -> Path:
         """A complete file or none; after a power cut, too."""

@@ -4,7 +4,9 @@ import io
 import threading
 from pathlib import Path
 
-from calibration.acquisition.folder import KeptPress, Keys, Pieces
+import pytest
+
+from calibration.acquisition.folder import AcquisitionFolder, KeptPress, Keys, Pieces
 
 
 def test_names_of_the_source_are_numbered_as_they_come() -> None:
@@ -32,6 +34,23 @@ def test_an_earlier_run_is_continued() -> None:
     named = Pieces(kept)
     named.see_again("s9", 2)
     assert [named.of("s9"), named.of("new")] == [2, 3]
+
+
+@pytest.mark.parametrize("piece", [None, 3])
+def test_a_press_takes_the_place_of_no_other(tmp_path: Path, piece: int | None) -> None:
+    """A person removes the second of three, and goes on; a picture of the free gel neither."""
+    about = {"part": "PZ1", "position": "pos1"}
+    before = AcquisitionFolder(tmp_path, about)
+    kept = [before.add(bytes([k]), piece).path for k in range(3)]
+    for k in range(3):
+        before.add_free(bytes([k]))
+    kept[1].unlink()
+    before.free[1].unlink()
+    again = AcquisitionFolder(tmp_path, about)
+    new = again.add(b"new", piece).path
+    again.add_free(b"new")
+    assert [path.read_bytes() for path in (kept[0], kept[2], new)] == [b"\x00", b"\x02", b"new"]
+    assert [path.read_bytes() for path in again.free] == [b"\x00", b"\x02", b"new"]
 
 
 class _Lines:
