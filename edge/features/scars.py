@@ -13,7 +13,7 @@ from edge.core.contact.reference import View
 from edge.core.contact.relief import reach
 from edge.core.gel_scars.free_change import FreeViews
 from edge.core.gel_scars.gel_scars import GelScars, Judged, Repeated
-from edge.core.gel_scars.press import ScoredPress, without_marks
+from edge.core.gel_scars.press import ScoredPress, measure_moves, without_marks
 from edge.core.gel_scars.record import ScarRecord
 from edge.core.imaging.frames import CameraFrame
 from edge.core.press import Press, ScarFindings
@@ -215,21 +215,20 @@ def _press_of_rules(inspection: Press, inspector: Inspector, found: Findings) ->
         return None
     bundle = inspector.bundle
     size, region = bundle.profile.size, bundle.region
-    x_mm, y_mm = bundle.profile.mm_per_pixel
     press = ScoredPress(
         inspection.score_map,
         verdict.threshold - (verdict.tolerance or 0.0),
         region,
         size,
-        (x_mm, y_mm),
+        bundle.profile.mm_per_pixel,
         found.mask,
         None if placed is None else placed.unseen_in_press,
-        None if placed is None else (placed.pose.x_px * x_mm, placed.pose.y_px * y_mm),
-        lambda change: inspector.score_map(without_marks(rgb, change, size, region)),
+        without=lambda change: inspector.score_map(without_marks(rgb, change, size, region)),
     )
-    # Only what exceeds the limit can lie beyond the part's reach.
-    is_above = bool((press.score_map > press.limit).any())
-    return replace(press, reach=_reach(press, inspection, inspector, found)) if is_above else press
+    if not (press.score_map > press.limit).any():  # what follows is asked of places above the limit alone
+        return press
+    moved_mm = None if placed is None else measure_moves(placed.pose, region, size, press.mm_per_pixel)
+    return replace(press, moved_mm=moved_mm, reach=_reach(press, inspection, inspector, found))
 
 
 def _reach(

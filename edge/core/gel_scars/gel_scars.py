@@ -119,7 +119,7 @@ class GelScars:
             blames, scars = self._blame_places(
                 press, np.where(is_open, excess, 0), found, self.find_marks(free, left)
             )
-        self.record = self.record.after(excess > 0, shown, scars, press.place_mm)
+        self.record = self.record.after(excess > 0, shown, scars, press.moved_mm)
         return Judged(
             masked,
             *_blind(press, scarred),

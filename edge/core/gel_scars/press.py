@@ -13,8 +13,9 @@ from edge.core.arrays import F32, U8, Mask
 from edge.core.contact.reference import View
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.region import Region, touched_in
+from edge.core.registration.pose import Pose
 
-__all__ = ["ScoredPress", "without_marks"]
+__all__ = ["ScoredPress", "measure_moves", "without_marks"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +36,8 @@ class ScoredPress:
     """bool (120, 160) of the view; None where it is not known."""
     unseen: Mask | None = None
     """bool (h, w): places that were not judged."""
-    place_mm: tuple[float, float] | None = None
-    """Where the part lay; None where it is not known."""
+    moved_mm: F32 | None = None
+    """How far the part's place at each pixel of the view has moved, as `measure_moves`; None where it is not known."""
     without: Callable[[View], F32 | None] = lambda change: None
     """Score map without a change of the gel, (120, 160, 3) levels of the view; None where it cannot be scored."""
     reach: Mask | None = None
@@ -88,6 +89,21 @@ def _whole_extent(region: Region, size: tuple[int, int]) -> Mask:
 def _centres(count: int, size: int) -> NDArray[np.int64]:
     """Where the centres of so many pixels of the view lie on a side of the picture, in its pixels."""
     return np.minimum((np.arange(count) + 0.5) * size / count, size - 1).astype(np.int64)
+
+
+def measure_moves(
+    pose: Pose, region: Region, size: tuple[int, int], mm_per_pixel: tuple[float, float]
+) -> F32:
+    """Measure how far the place of the part that lies at each pixel of the view is from where it lies in the bank: (x,
+    y), float32 (2, 120, 160). Where the part turns, places move differently, and that about which it turns does not."""
+    (left, top), (width, height) = (region.x + 0.5, region.y + 0.5), size
+    x, y = np.meshgrid(
+        (np.arange(VIEW_SIZE[0]) + 0.5) * width / VIEW_SIZE[0] - left,
+        (np.arange(VIEW_SIZE[1]) + 0.5) * height / VIEW_SIZE[1] - top,
+    )
+    back = cv2.invertAffineTransform(pose.matrix((region.width, region.height)))
+    places = np.einsum("ij,jhw->ihw", back, np.stack([x, y, np.ones_like(x)]))
+    return np.asarray((np.stack([x, y]) - places) * np.array(mm_per_pixel)[:, None, None], np.float32)
 
 
 def without_marks(rgb: U8, change: View, size: tuple[int, int], region: Region) -> U8:

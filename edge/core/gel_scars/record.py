@@ -36,7 +36,7 @@ class Repeats:
     rate: float = 0.0
     """The share of the presses that showed the place."""
     spread_mm: float = 0.0
-    """Standard deviation of the part's place in those; 0 where it is not known."""
+    """Standard deviation of the place of the part that lay there; 0 where it is not known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,21 +88,21 @@ class ScarRecord:
         exceeds: Mask,
         shown: Mask,
         scars: Mask,
-        place_mm: tuple[float, float] | None,
+        moved_mm: F32 | None,
     ) -> "ScarRecord":
         """Make the record with one more press. All masks: bool (h, w).
 
-        exceeds: above the limit. shown: what the press shows of the gel. scars: to be masked from now on. place_mm:
-        where the part lay, None where it is not known.
+        exceeds: above the limit. shown: what the press shows of the gel. scars: to be masked from now on. moved_mm:
+        how far the part's place there has moved, (x, y), float32 (2, h, w); None where it is not known.
         """
         planes = self.planes * np.float32(_KEPT)
         quiet = shown & ~exceeds
         planes[_HITS] += exceeds
         planes[_QUIET] += quiet
-        if place_mm is not None:
-            x, y = place_mm
-            for plane, value in ((_PLACED, 1.0), (_X, x), (_Y, y), (_SQUARES, x * x + y * y)):
-                planes[plane] += np.float32(value) * exceeds
+        if moved_mm is not None:
+            x, y = moved_mm
+            for plane, value in ((_PLACED, np.ones_like(x)), (_X, x), (_Y, y), (_SQUARES, x * x + y * y)):
+                planes[plane] += value * exceeds
         weight = np.where(quiet, self.planes[_MASK] * np.float32(_QUIET_KEEPS), self.planes[_MASK])
         weight[weight < _FORGOTTEN] = 0
         weight[scars | (exceeds & self.masked)] = 1

@@ -9,8 +9,9 @@ from edge.core.contact.table import State
 from edge.core.gel_scars import gel_scars
 from edge.core.gel_scars.free_change import FreeViews, marks
 from edge.core.gel_scars.gel_scars import GelScars, Judged
-from edge.core.gel_scars.press import ScoredPress
+from edge.core.gel_scars.press import ScoredPress, measure_moves
 from edge.core.imaging.region import Region
+from edge.core.registration.pose import Pose
 from edge.core.verdict import Cause
 
 SIZE = (320, 240)
@@ -298,3 +299,34 @@ def test_marks_are_found_once_for_the_same_pictures(monkeypatch: pytest.MonkeyPa
     gel.find_marks(before, left)
     gel.find_marks(before, None)
     assert len(asked) == 5
+
+
+def pose_about(place: np.ndarray, turn_rad: float) -> Pose:
+    """A part that is turned about this place of the region, (x, y) pixels."""
+    at = Pose(turn_rad=turn_rad).matrix((REGION.width, REGION.height)) @ [*place, 1]
+    return Pose(*(place - at), turn_rad)
+
+
+def test_how_far_a_place_of_the_part_has_moved() -> None:
+    """By the shift where nothing turns; not at all where it turns about; by the chord elsewhere."""
+    there, pin = (58, 80), np.array([160.5, 116.5]) - (REGION.x, REGION.y)
+    shift = measure_moves(Pose(8, -3), REGION, SIZE, SCALE)
+    np.testing.assert_allclose(shift[:, 5, 7], np.array([8, -3]) * SCALE, atol=1e-5)
+    turned = measure_moves(pose_about(pin, 0.3), REGION, SIZE, SCALE)
+    np.testing.assert_allclose(turned[:, *there], 0, atol=1e-4)
+    chord = 2 * 20 * SIZE[0] / 160 * np.sin(0.15) * SCALE[0]
+    assert np.hypot(*turned[:, 58, 100]) == pytest.approx(chord, rel=1e-3)
+
+
+@pytest.mark.parametrize("is_pin", [True, False])
+def test_damage_about_which_the_part_turns_is_no_scar(is_pin: bool) -> None:
+    """A pin holds each part there, and each has the same damage: it is of one place of the part, as it is of the gel.
+    What comes back to the gel under other places of the part is a scar."""
+    gel, pin = GelScars(first=FREE), np.array([160.5, 116.5]) - (REGION.x, REGION.y)
+    found = []
+    for turn_rad in np.random.default_rng(0).uniform(-0.5, 0.5, 12):
+        pose = pose_about(pin if is_pin else pin + 60, turn_rad)
+        one = replace(press(1), moved_mm=measure_moves(pose, REGION, SIZE, SCALE))
+        judged = gel.judge(one, FREE)
+        found.append(judged.masked.any() or (judged.blame is not None and judged.blame.cause is Cause.GEL))
+    assert any(found) is not is_pin
