@@ -220,9 +220,7 @@ def find_repeated(
         return same, found
     named_first = sorted(range(len(views)), key=lambda k: pieces[k] is None)
     broad = np.stack(_blur(views))[named_first]
-    few = broad[:, ::_COARSE, ::_COARSE].reshape(
-        len(broad), -1
-    )  # where two differ here, they are not the same
+    few = broad[:, ::_COARSE, ::_COARSE].reshape(len(broad), -1)  # two that differ here are not the same
     for place, k in enumerate(named_first):
         near = np.flatnonzero(np.abs(few[:place] - few[place]).max(axis=1) < _SAME_LEVELS).tolist()
         away = {one: float(np.abs(broad[place] - broad[one]).max()) for one in near}

@@ -17,11 +17,11 @@ __all__ = ["SEVERAL", "blame", "is_explained", "remaining", "together"]
 _OF_THE_GEL, _OF_THE_PART = 0.2, 0.5
 
 SEVERAL: Final = 2.7
-"""Three presses of late: the place of the gel, not of the part, when the part lay elsewhere each time."""
+"""Three presses of late: the place of the gel, not of the part, when other places of the part lay there."""
 # At least in this share of the presses that showed the place.
 _MOSTLY = 0.5
-# The part's place varies by more than this between those presses, and by more than the place is wide: damage at one
-# place of the part moves with it, and would not come back to this place of the gel.
+# The place of the part that lies there varies by more than this between those presses, and by more than the place is
+# wide: damage moves with the part, and would not come back to this place of the gel.
 _MOVED_MM = 1.0
 # Five presses of late at one place of gel and part: only the free gel can distinguish them.
 _MANY, _ALWAYS = 4.6, 0.8

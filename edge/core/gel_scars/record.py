@@ -1,4 +1,4 @@
-"""The decaying record of one gel: where presses exceeded their limit, where the part lay then, and what is masked.
+"""The decaying record of one gel: where presses exceeded their limit, how the part had moved, and what is masked.
 
 All places are those of the gel: pixels of the contact view. The record has one size for ever, whatever is pressed.
 """
@@ -16,7 +16,7 @@ __all__ = ["PLANES", "Repeats", "ScarRecord"]
 
 PLANES: Final = 7
 # What each plane holds: presses that exceeded here, those that did not, the weight of the mask; of the presses that
-# exceeded with a known place of the part, their number, and the sums of x and y and of x * x + y * y in mm.
+# exceeded with a known pose of the part, their number, and the sums of its moves x and y and of x * x + y * y in mm.
 _HITS, _QUIET, _MASK, _PLACED, _X, _Y, _SQUARES = range(PLANES)
 
 # Older presses count less: half after 44 presses.

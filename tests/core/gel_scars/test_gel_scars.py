@@ -22,7 +22,7 @@ FREE = np.full((120, 160, 3), 120, np.float32)
 IN_VIEW = (slice(54, 62), slice(76, 84))
 
 
-def scored(picture: np.ndarray, place_mm: tuple[float, float] | None = None) -> ScoredPress:
+def scored(picture: np.ndarray, moved_mm: tuple[float, float] | None = None) -> ScoredPress:
     """A press of this view, float32 (120, 160, 3), as a detector of flat parts scores it: 0.2, and a quarter for each
     level of difference to the free gel, against a limit of 1; the part touches everything."""
 
@@ -31,17 +31,17 @@ def scored(picture: np.ndarray, place_mm: tuple[float, float] | None = None) -> 
         return REGION.crop(np.repeat(np.repeat(height, 2, axis=0), 2, axis=1).astype(np.float32))
 
     return ScoredPress(
-        score_map(0), 1.0, REGION, SIZE, SCALE, np.ones((120, 160), bool), None, place_mm, score_map
+        score_map(0), 1.0, REGION, SIZE, SCALE, np.ones((120, 160), bool), None, moved_mm, score_map
     )
 
 
 def press(
-    height: float = 0.0, place_mm: tuple[float, float] | None = None, free: np.ndarray = FREE
+    height: float = 0.0, moved_mm: tuple[float, float] | None = None, free: np.ndarray = FREE
 ) -> ScoredPress:
     """Of a part that rises at the place by so much of the map, on this gel."""
     picture = free.copy()
     picture[IN_VIEW] += np.float32(4 * height)
-    return scored(picture, place_mm)
+    return scored(picture, moved_mm)
 
 
 def marked(levels: float) -> np.ndarray:
