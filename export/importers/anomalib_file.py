@@ -25,6 +25,8 @@ MARKS = {
     "dfkde": "model.classifier.kde_model.dataset",
 }
 MOST_MODULES = 5000
+# The steps before the model, by their place in the order.
+STEPS = {"Resize": 1, "CenterCrop": 2, "ExportableCenterCrop": 2, "Normalize": 3}
 
 Colour = tuple[float, float, float]
 
@@ -113,7 +115,7 @@ class AnomalibFile:
         return (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 
     def framing(self, frame: tuple[int, int]) -> Framing:
-        """The steps from frames of (h, w) to the model's input. Errors: ConfigError for a step that is not known."""
+        """The steps from frames of (h, w) to the model's input. Errors: ConfigError."""
         resize: tuple[int, int] | None = None
         crop: tuple[int, int] | None = None
         is_antialiased = True
@@ -122,12 +124,8 @@ class AnomalibFile:
                 self._require_bilinear(fields)
                 resize = self._size(fields, frame)
                 is_antialiased = fields.get("antialias") is not False
-            elif kind in ("CenterCrop", "ExportableCenterCrop"):
-                crop = self._size(fields, None)
             elif kind != "Normalize":
-                raise ConfigError(
-                    f"{self.path}: the pre-processor has a {kind}; Resize, CenterCrop and Normalize were expected"
-                )
+                crop = self._size(fields, None)
         return Framing(frame, resize, crop, is_antialiased)
 
     def preprocessing_words(self) -> str:
@@ -136,10 +134,18 @@ class AnomalibFile:
         return ", ".join(words) or "none"
 
     def _steps(self) -> Sequence[tuple[str, Mapping[Any, Content]]]:
+        """The steps in the one order that the trunk computes. Errors: ConfigError for others."""
         if self.transform is None:
             raise ConfigError(
                 f"{self.path}: the pre-processor is not stored, so the size and colours that the model saw are "
                 f"not known; train with a pre-processor of Resize, CenterCrop and Normalize"
+            )
+        kinds = [kind for kind, _ in self.transform]
+        places = [STEPS.get(kind, 0) for kind in kinds]
+        if any(later <= earlier for earlier, later in zip([0, *places], places, strict=False)):
+            raise ConfigError(
+                f"{self.path}: the pre-processor's steps are {', '.join(kinds)}; Resize, CenterCrop and Normalize "
+                "were expected, each at most once and in this order"
             )
         return self.transform
 

@@ -129,6 +129,10 @@ def steps(content: dict[Any, Any]) -> list[Any]:
     return found
 
 
+def step(kind: str, **fields: object) -> dict[str, object]:
+    return {"class_path": f"torchvision.transforms.v2.{kind}", "init_args": fields}
+
+
 INVERSE = "model.gaussian.inv_covariance"
 
 Change = Callable[[dict[Any, Any]], object]
@@ -143,10 +147,18 @@ CHANGES: dict[str, tuple[Change, str]] = {
         r"'mean' has 64 places, the taps give 256",
     ),
     "a rotation before the model": (
-        lambda c: steps(c).append(
-            {"class_path": "torchvision.transforms.v2.RandomRotation", "init_args": {}}
-        ),
-        r"the pre-processor has a RandomRotation",
+        lambda c: steps(c).append(step("RandomRotation")),
+        r"steps are Resize, Normalize, RandomRotation; Resize, CenterCrop and Normalize were expected, each at most",
+    ),
+    "a crop before the resize": (
+        lambda c: steps(c).insert(0, step("CenterCrop", size=[40, 40])), r"steps are CenterCrop, Resize, Normalize;",
+    ),
+    "a resize after a resize": (
+        lambda c: steps(c).insert(0, step("Resize", size=[16, 16])), r"steps are Resize, Resize, Normalize;",
+    ),
+    "colours that are scaled twice": (
+        lambda c: steps(c).append(step("Normalize", mean=[0.5] * 3, std=[0.5] * 3)),
+        r"steps are Resize, Normalize, Normalize;",
     ),
     "no pre-processor": (lambda c: c.pop("anomalib_pre_processor_config"), r"the pre-processor is not stored"),
     "an unknown backbone": (
