@@ -65,14 +65,15 @@ class Framing:
         return self.size[0] * self.size[1] / (resized[0] * resized[1])
 
     def back(self, axis: int) -> NDArray[np.float64]:
-        """Draw one axis of a map of the input in the frame: (frame pixels, input pixels). Beyond the crop the map's
-        border is repeated."""
+        """Draw one axis of a map of the input in the frame: (frame pixels, input pixels). Beyond the crop nothing is
+        seen, and the map is 0, the lowest distance."""
         count, resized = self.size[axis], (self.resize or self.frame)[axis]
         first = round((resized - count) / 2)
         matrix = upsampling_matrix(resized, self.frame[axis])
         seen = matrix[:, first : first + count].copy()
         seen[:, 0] += matrix[:, :first].sum(axis=1)
         seen[:, -1] += matrix[:, first + count :].sum(axis=1)
+        seen[matrix[:, first : first + count].sum(axis=1) < 0.5] = 0
         return seen
 
 

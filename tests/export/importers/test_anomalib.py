@@ -274,6 +274,22 @@ def test_a_crop_is_the_middle_of_the_resized_frame() -> None:
     assert Framing((48, 64), (32, 40), (24, 24)).seen == pytest.approx(24 * 24 / (32 * 40))
 
 
+def test_what_a_crop_leaves_out_is_not_anomalous() -> None:
+    """The model saw nothing there, so the map has the lowest score, a distance of 0; the sentence says how much."""
+    file = opened(SMALL / "padim.ckpt")
+    steps(file.content)[0]["init_args"]["size"] = [40, 40]
+    steps(file.content).insert(1, step("CenterCrop", size=[32, 32]))
+
+    model = anomalib.imported(file, Settings((48, 64), PIXELS_PER_MM))
+
+    seen = np.zeros((48, 64), bool)
+    seen[5:43, 6:58] = True  # a tenth of each side is cropped
+    maps = scores_of(model, pictures()).score_map
+    assert (maps[:, ~seen] == 0).all()
+    assert (maps[:, seen] > 0).all()
+    assert "sees the middle 64% of the region, damage beyond is not found" in " ".join(model.says)
+
+
 @pytest.mark.importers
 def test_new_files_of_the_installed_anomalib(tmp_path: Path) -> None:
     """Trained now, by whatever version is installed, with several layers, another size and a crop."""
