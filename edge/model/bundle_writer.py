@@ -3,14 +3,16 @@
 import contextlib
 import ctypes
 import errno
+import fcntl
 import hashlib
 import io
 import json
 import os
 import shutil
 import stat
+import tempfile
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -206,23 +208,47 @@ def png_bytes(rgb: NDArray[np.uint8]) -> bytes:
 def write_bundle(path: Path, files: Mapping[str, bytes], *, overwrite: bool = False) -> Path:
     """Write all files as a folder, or as a zip when the name ends in .zip; appears at once or not at all.
 
-    Equal files give equal bytes. Errors: FileExistsError; OSError of the disk, with nothing left behind.
+    Equal files give equal bytes. Of several writers at once the last wins, without `overwrite` the first. Errors:
+    FileExistsError; OSError of the disk, with nothing left behind.
     """
-    if path.exists() and not overwrite:
-        raise FileExistsError(f"{path} exists already; choose another name or allow it to be replaced")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
-    _remove(partial)
-    try:
+    _refuse_existing(path, overwrite)
+    with _place_beside(path) as partial:
         if path.suffix == ".zip":
             _write_zip(partial, files)
         else:
             for name, data in files.items():
                 _write_synced(partial / name, data)
-        _put_in_place(partial, path)
-    finally:
-        _remove(partial)
+        with _locked(path.parent):
+            _refuse_existing(path, overwrite)
+            _put_in_place(partial, path)
     return path
+
+
+def _refuse_existing(path: Path, overwrite: bool) -> None:
+    if path.exists() and not overwrite:
+        raise FileExistsError(f"{path} exists already; choose another name or allow it to be replaced")
+
+
+@contextlib.contextmanager
+def _place_beside(path: Path) -> Iterator[Path]:
+    """Give a place to write what shall be at a path: on its disk, of no other writer, and gone at the end."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
+    try:
+        yield folder / "new"
+    finally:
+        _remove(folder)
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Let one writer at a time put something in its place in a folder."""
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):  # one that cannot be read, or NFS, has no lock
+            handle = os.open(folder, os.O_RDONLY)
+            stack.callback(os.close, handle)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
 
 
 def add_file(bundle: Path, name: str, data: bytes) -> None:
@@ -240,12 +266,9 @@ def add_file(bundle: Path, name: str, data: bytes) -> None:
 
 def write_file(path: Path, data: bytes) -> None:
     """Write one file that appears at once or not at all, replacing an older one. Errors: OSError."""
-    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
-    try:
+    with _place_beside(path) as partial:
         _write_synced(partial, data)
         partial.replace(path)
-    finally:
-        _remove(partial)
 
 
 def _write_synced(path: Path, data: bytes) -> None:

@@ -4,7 +4,11 @@ import os
 import stat
 import zipfile
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -108,22 +112,22 @@ def test_nothing_at_the_path_is_a_sentence(tmp_path: Path) -> None:
         open_archive(tmp_path / "nothing")
 
 
-class Failing(Mapping[str, bytes]):
-    """Files whose second read fails: the disk is full, or Ctrl-C was pressed."""
+class Halfway(Mapping[str, bytes]):
+    """Files, at the second read of which something happens: another writes, the disk is full, Ctrl-C was pressed."""
 
-    def __init__(self, error: BaseException) -> None:
-        self.error = error
+    def __init__(self, happen: Callable[[], object]) -> None:
+        self.happen = happen
 
     def __iter__(self):  # type: ignore[no-untyped-def]
-        yield from ("manifest.json", "trunk.onnx")
+        yield from FILES
 
     def __len__(self) -> int:
-        return 2
+        return len(FILES)
 
     def __getitem__(self, name: str) -> bytes:
-        if name == "trunk.onnx":
-            raise self.error
-        return b"{}"
+        if name == "bank/mean.npy":
+            self.happen()
+        return FILES[name]
 
 
 @pytest.mark.parametrize("name", ["b", "b.zip"])
@@ -132,7 +136,7 @@ def test_an_interrupted_write_leaves_the_old_bundle(tmp_path: Path, name: str, e
     """A full disk or Ctrl-C in the middle: the old bundle is unchanged, and no part of a new one exists."""
     write_bundle(tmp_path / name, FILES)
     with pytest.raises(type(error)):
-        write_bundle(tmp_path / name, Failing(error), overwrite=True)
+        write_bundle(tmp_path / name, Halfway(Mock(side_effect=error)), overwrite=True)
     assert [p.name for p in tmp_path.iterdir()] == [name]
     assert open_archive(tmp_path / name).read("bank/mean.npy") == b"12345"
 
@@ -147,3 +151,37 @@ def test_an_existing_bundle_is_replaced_only_when_asked(tmp_path: Path, name: st
     with pytest.raises(BundleCorrupt, match="missing"):
         open_archive(tmp_path / name).read("old")
     assert [p.name for p in tmp_path.iterdir()] == [name]
+
+
+OTHERS = {"manifest.json": b"{1}", "trunk.onnx": b"67890"}
+
+
+@pytest.mark.parametrize("name", ["b", "b.zip"])
+@pytest.mark.parametrize("is_replacing", [True, False])
+def test_of_two_writers_at_once_one_wins_whole(tmp_path: Path, name: str, is_replacing: bool) -> None:
+    """The last, or the first where none may be replaced: in one process too."""
+    other = partial(write_bundle, tmp_path / name, OTHERS, overwrite=is_replacing)
+    refused = (
+        nullcontext() if is_replacing else pytest.raises(FileExistsError, match="exists already; choose")
+    )
+    with refused:
+        write_bundle(tmp_path / name, Halfway(other), overwrite=is_replacing)
+    archive, (winner, loser) = (
+        open_archive(tmp_path / name),
+        (FILES, OTHERS) if is_replacing else (OTHERS, FILES),
+    )
+    assert {one: archive.read(one) for one in winner} == winner
+    with pytest.raises(BundleCorrupt, match="missing"):
+        archive.read(max(loser.keys() - winner))
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+
+
+def test_writers_wait_where_two_folders_cannot_be_exchanged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each moves the one that is there away, and puts its own in the place."""
+    monkeypatch.setattr("edge.model.bundle_writer._exchange", Mock(side_effect=OSError))
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda _: write_bundle(tmp_path / "b", FILES, overwrite=True), range(64)))
+    assert open_archive(tmp_path / "b").read("bank/mean.npy") == b"12345"
+    assert [p.name for p in tmp_path.iterdir()] == ["b"]
