@@ -60,6 +60,8 @@ def take_presses(given: AcquireArguments) -> tuple["Acquiring", AcquireArguments
         _run(acquiring, stream, limit, given.most, given.go_on)
     except KeyboardInterrupt:
         typer.echo("stopped with Ctrl-C", err=True)
+    finally:
+        acquiring.folder.close()
     return acquiring, plan, limit
 
 

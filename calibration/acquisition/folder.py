@@ -10,15 +10,19 @@
 read again after an interruption gives the same presses, and they are not taken twice.
 """
 
+import fcntl
 import hashlib
 import itertools
 import json
+import os
 import re
 import threading
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from weakref import finalize
 
 from calibration.dataset.press import numbered
 from calibration.folders import claim, write_whole
@@ -45,12 +49,13 @@ class KeptPress:
 class AcquisitionFolder:
     """Opens or begins an acquisition. presses: in the order in which they were taken.
 
-    about: what it is of: part, position, profile and region. Errors: ConfigError for a folder that holds something
-    else, or another acquisition; StoreError.
+    about: what it is of: part, position, profile and region. close: lets others take presses into it. Errors:
+    ConfigError for a folder that holds something else, or another acquisition, or that another one fills; StoreError.
     """
 
     def __init__(self, root: Path, about: Mapping[str, str]) -> None:
         self.root, self.about = root, about
+        self.close = finalize(self, _hold(root).close)
         claim(root, _ABOUT, {"version": _VERSION, **about}, "acquisition", ConfigError)
         try:
             for part in ("presses", "free"):
@@ -130,6 +135,23 @@ class AcquisitionFolder:
             f"the acquisition {self.root} cannot be written: {error.strerror or error}; the presses so far are kept, "
             "free some space and start again with the same command"
         )
+
+
+def _hold(root: Path) -> ExitStack:
+    """Keep others from taking presses into a folder until this is closed. Errors: ConfigError where one does."""
+    with ExitStack() as held:
+        try:
+            root.mkdir(parents=True, exist_ok=True)
+            handle = os.open(root, os.O_RDONLY)
+            held.callback(os.close, handle)
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigError(
+                f"another process takes presses into {root}; wait for its end, or choose another folder"
+            ) from None
+        except OSError:
+            pass  # what cannot be written is said next, and NFS locks no folder
+        return held.pop_all()
 
 
 def _digest(payload: bytes) -> str:

@@ -113,8 +113,8 @@ def _until_pressed(process: subprocess.Popen[str], count: int) -> None:
 
 
 def test_a_kill_loses_no_press_and_ctrl_c_ends_with_the_summary(recording: Path, tmp_path: Path) -> None:
-    """Killed after the third press: all three are there, and the same folder is continued. Interrupted then, it says
-    what the presses promise and how to fit them; exit code 0."""
+    """Killed after the third press: all three are there, and the same folder is continued, by one process. Interrupted
+    then, it says what the presses promise and how to fit them; exit code 0."""
     out = tmp_path / "acquired"
     with _started(recording, out) as process:
         _until_pressed(process, 3)
@@ -123,6 +123,7 @@ def test_a_kill_loses_no_press_and_ctrl_c_ends_with_the_summary(recording: Path,
     (out / "presses" / "press_0099.part").write_bytes(b"half a pictu")
     with _started(recording, out) as process:
         _until_pressed(process, 5)
+        beside = gelgate("bundle", "acquire", recording, "-o", out, *OPTIONS)
         process.send_signal(signal.SIGINT)
         assert process.stdout is not None
         rest = process.stdout.read()
@@ -130,6 +131,7 @@ def test_a_kill_loses_no_press_and_ctrl_c_ends_with_the_summary(recording: Path,
     assert "not enough: the promise is not reached" in rest
     assert "gelgate fit" in rest
     assert len(names(out)) == len(payloads(out)) >= 5
+    assert f"another process takes presses into {out}" in beside.sentence()
 
 
 def test_presses_that_cannot_be_scored_are_said_and_left_out(pictures: Path, tmp_path: Path) -> None:

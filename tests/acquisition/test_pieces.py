@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from calibration.acquisition.folder import AcquisitionFolder, KeptPress, Keys, Pieces
+from edge.core.errors import ConfigError
 
 
 def test_names_of_the_source_are_numbered_as_they_come() -> None:
@@ -46,11 +47,23 @@ def test_a_press_takes_the_place_of_no_other(tmp_path: Path, piece: int | None) 
         before.add_free(bytes([k]))
     kept[1].unlink()
     before.free[1].unlink()
+    before.close()
     again = AcquisitionFolder(tmp_path, about)
     new = again.add(b"new", piece).path
     again.add_free(b"new")
     assert [path.read_bytes() for path in (kept[0], kept[2], new)] == [b"\x00", b"\x02", b"new"]
     assert [path.read_bytes() for path in again.free] == [b"\x00", b"\x02", b"new"]
+
+
+def test_one_folder_is_filled_by_one_process(tmp_path: Path) -> None:
+    """Two would count other presses than there are."""
+    about = {"part": "PZ1", "position": "pos1"}
+    first = AcquisitionFolder(tmp_path / "new", about)
+    with pytest.raises(ConfigError, match="another process takes presses into"):
+        AcquisitionFolder(tmp_path / "new", about)
+    kept = first.add(b"press", 1)
+    first.close()
+    assert AcquisitionFolder(tmp_path / "new", about).presses == [kept]
 
 
 class _Lines:
