@@ -46,6 +46,8 @@ class LibusbPacketStream:
         self._lib, self._context, self._packet_bytes = lib, context, packet_bytes
         self._completed: deque[int] = deque()
         self._flying: set[int] = set()
+        # Transfers with which the queue ran dry: of what came after them no packet is known, nor how many there were.
+        self._dry: set[int] = set()
         self._closing = False
         self._callback = libusb1._libusb_transfer_cb_fn_p(self._on_complete)
         self._buffers = [
@@ -78,9 +80,11 @@ class LibusbPacketStream:
         position = self._position[ctypes.addressof(transfer.contents)]
         self._flying.discard(position)
         self._completed.append(position)
+        if not self._flying:
+            self._dry.add(position)
 
     def read(self, timeout_ms: int) -> list[Packet]:
-        """The packets of the next completed transfer."""
+        """The packets of the next completed transfer; a lost one behind them where the bus went on without us."""
         if not self._completed:
             self._handle_events(timeout_ms)
         if not self._completed:
@@ -92,6 +96,9 @@ class LibusbPacketStream:
                 libusb1._str_transfer_error[status], status, libusb1._transfer_errno[status]
             )
         packets = self._packets(position)
+        if position in self._dry:
+            self._dry.discard(position)
+            packets.append(Packet(b"", arrived=False))
         self._submit(position)
         return packets
 

@@ -94,6 +94,30 @@ def test_frames_come_back_through_the_queue() -> None:
     stream.close()
 
 
+def test_what_the_bus_sent_while_no_transfer_was_in_flight_is_a_loss() -> None:
+    """After a pause every transfer has come back, and the packets of that time went nowhere: the beginning of one frame
+    and the end of a later one of the same parity are no whole picture."""
+    before, later = (
+        [
+            (packet.data, 0)
+            for packet in split_frame(
+                b"\xff\xd8\xff" + byte * 80_000 + b"\xff\xd9", fid=0, pts=0, packet_bytes=64
+            )
+        ]
+        for byte in (b"A", b"B")
+    )
+    lib = FakeLibusb(before[: TRANSFERS * PACKETS_PER_TRANSFER] + later[-300:])
+    stream = stream_of(lib)
+    for _ in range(TRANSFERS):
+        lib.libusb_handle_events_timeout_completed(None, None, None)
+    assembler = FrameAssembler()
+    frames = [frame for _ in range(TRANSFERS + 5) for frame in assembler.feed(stream.read(100))]
+    stream.close()
+
+    assert [frame.fault for frame in frames] == ["a packet was lost on the bus"]
+    assert b"AB" in frames[0].payload
+
+
 def test_a_packet_status_is_kept() -> None:
     """A packet that the controller flags is not taken for one that arrived."""
     stream = stream_of(FakeLibusb([(b"ab", 0), (b"cd", libusb1.LIBUSB_TRANSFER_ERROR)]))
