@@ -1,17 +1,20 @@
 """Appends messages to a file: one JSON line each, and pictures as files of their own.
 
 A line is `{"topic": ..., "retain": ..., "payload": {...}}`, with a text for plain text, or
-`"file": "heatmap/<press id>.jpg"` for a picture. A line is on the disk before `send` returns. Beyond `keep_mb` the
+`"file": "heatmap/<press id>.jpg"` for a picture. Both are on the disk before `send` returns. Beyond `keep_mb` the
 oldest are removed: `messages.jsonl` becomes `messages.1.jsonl` when it has a quarter of the room, and the oldest
-pictures go. What it does not do: it has no subscribers and takes no commands. A retained topic is an ordinary line, and
-the last one counts; what changes at every moment (`contact`, retained at QoS 0) is not written.
+pictures of messages go; other files in the folder stay. What it does not do: it has no subscribers and takes no
+commands. A retained topic is an ordinary line, and the last one counts; what changes at every moment (`contact`,
+retained at QoS 0) is not written.
 """
 
 import errno
 import json
 import os
 import threading
+from io import FileIO
 from pathlib import Path
+from typing import Final
 
 from pydantic import BaseModel, Field
 
@@ -22,6 +25,11 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station
 
 __all__ = ["Jsonl", "JsonlOptions", "JsonlSink", "plugin"]
+
+# First levels of the topics that have pictures of presses, and so folders of many.
+PICTURES: Final = ("heatmap", "scoremap", "overview")
+
+_BLOCK_BYTES: Final = 4096
 
 
 class JsonlOptions(BaseModel, extra="forbid", frozen=True):
@@ -50,6 +58,7 @@ class JsonlSink:
         self._unchecked_bytes = (
             keep_bytes  # pictures written since their room was last compared; at first all
         )
+        self._picture_folders = {folder / kind for kind in PICTURES}
         self._root = root
         self._lock = threading.Lock()
 
@@ -85,19 +94,26 @@ class JsonlSink:
         path = self._folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_name(path.name + ".part")
-        part.write_bytes(message.payload)
+        with part.open("wb") as file:
+            file.write(message.payload)
+            file.flush()
+            os.fsync(file.fileno())
         part.replace(path)
+        self._picture_folders.add(path.parent)
         self._limit_pictures(len(message.payload))
         return name
 
     def _limit_pictures(self, added_bytes: int) -> None:
-        """Pictures have half of the room. The folder is read again after each hundredth of the room only."""
+        """Pictures have half of the room. Their folders are read again after each hundredth of the room only."""
         self._unchecked_bytes += added_bytes
         if self._unchecked_bytes < self._keep_bytes // 100:
             return
         self._unchecked_bytes = 0
         pictures = [
-            (path, path.stat()) for suffix in ("jpg", "png") for path in self._folder.rglob(f"*.{suffix}")
+            (path, path.stat())
+            for folder in self._picture_folders
+            for suffix in ("jpg", "png")
+            for path in folder.glob(f"*.{suffix}")
         ]
         excess = sum(stat.st_size for _, stat in pictures) - self._keep_bytes // 2
         for path, stat in sorted(pictures, key=lambda one: one[1].st_mtime_ns)[:-1]:
@@ -111,8 +127,9 @@ class JsonlSink:
         path = self._folder / "messages.jsonl"
         if path.exists() and path.stat().st_size + len(data) > self._keep_bytes // 4:
             path.replace(self._folder / "messages.1.jsonl")
-        with path.open("ab", buffering=0) as file:
-            start = file.tell()
+        with path.open("a+b", buffering=0) as file:
+            start = _find_end_of_lines(file)
+            file.truncate(start)  # what a power cut has left of a line, which is sent again
             try:
                 if file.write(data) != len(data):
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -120,6 +137,18 @@ class JsonlSink:
             except OSError:
                 file.truncate(start)  # an incomplete line would damage the next one too
                 raise
+
+
+def _find_end_of_lines(file: FileIO) -> int:
+    """Return where the last complete line ends."""
+    end = file.seek(0, os.SEEK_END)
+    while end:
+        start = max(0, end - _BLOCK_BYTES)
+        file.seek(start)
+        if (position := file.read(end - start).rfind(b"\n")) >= 0:
+            return start + position + 1
+        end = start
+    return 0
 
 
 class Jsonl(SinkPlugin[JsonlOptions]):

@@ -73,6 +73,29 @@ def test_a_full_disk_leaves_no_half_line(tmp_path: Path) -> None:
     assert [line["payload"] for line in lines(tmp_path)] == [{"n": 1}, {"n": 2}]
 
 
+@pytest.mark.parametrize("left", [b'{"topic":"resu', bytes(9000)])
+def test_what_a_power_cut_has_left_of_a_line_damages_no_other(tmp_path: Path, left: bytes) -> None:
+    """A part of a line, or zeros of a block that was never written: its message was not acknowledged."""
+    sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path), STATION)
+    sink.send(Message("result", b'{"n":1}'))
+    with (tmp_path / "messages.jsonl").open("ab") as file:
+        file.write(left)
+
+    sink.send(Message("result", b'{"n":2}'))
+    assert [line["payload"] for line in lines(tmp_path)] == [{"n": 1}, {"n": 2}]
+
+
+def test_a_picture_is_on_the_disk_before_it_is_acknowledged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its row leaves the outbox: nothing sends it again after a power cut."""
+    synced = list[bytes]()
+    monkeypatch.setattr(os, "fsync", lambda fd: synced.append(Path(f"/proc/self/fd/{fd}").read_bytes()))
+    sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path), STATION)
+    sink.send(Message("heatmap/1", PNG, content_type="image/png"))
+    assert synced[0] == PNG
+
+
 def test_lines_are_rotated_within_their_room(tmp_path: Path) -> None:
     """A quarter of the room for the lines in use, and as much for those before; the newest are always there."""
     sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path, keep_mb=1), STATION)
@@ -98,3 +121,16 @@ def test_the_oldest_pictures_go_first(tmp_path: Path) -> None:
         os.utime(tmp_path / "heatmap" / f"{number}.png", ns=(number + 2, number + 2))
 
     assert sorted(path.name for path in old.parent.iterdir()) == [f"{number}.png" for number in range(4, 9)]
+
+
+def test_pictures_that_no_message_brought_stay(tmp_path: Path) -> None:
+    """The folder may have nominal pictures, snapshots and whatever else beside the messages."""
+    nominal = tmp_path / "nominal" / "1.png"
+    nominal.parent.mkdir()
+    nominal.write_bytes(bytes(2_000_000))
+    os.utime(nominal, ns=(1, 1))
+    sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path, keep_mb=1), STATION)
+    for topic in ("heatmap/1", "overview/1", "scoremap/1"):
+        sink.send(Message(topic, PNG.ljust(100_000), content_type="image/png"))
+
+    assert len(list(tmp_path.rglob("*.png"))) == 4
