@@ -50,8 +50,13 @@ def back_up(database: Path, target: Path) -> Path:
 
 
 def backups_in(folder: Path, database: Path) -> list[Path]:
-    """The copies that `back_up` made of this database in this folder, oldest first."""
-    return sorted(folder.glob(_name_pattern(database)))
+    """The copies that `back_up` made of this database in this folder, oldest first.
+
+    One of another station's database of the same name is none of them, and neither is what cannot be read.
+    """
+    own = _read_ledger_id(database)
+    copies = sorted(folder.glob(_name_pattern(database)))
+    return [one for one in copies if own is not None and _read_ledger_id(one) == own]
 
 
 def find_leftovers(folder: Path, database: Path) -> list[Path]:
@@ -77,6 +82,16 @@ def migrate(database: Path) -> tuple[int, Path | None]:
     copy = back_up(database, database.with_name(f"{database.stem}.version{before}-{_utc()}{database.suffix}"))
     Database(database, migrates=True).close()
     return before, copy
+
+
+def _read_ledger_id(path: Path) -> str | None:
+    """Read which ledger a database has; None where that cannot be told, as of one of before the ledgers."""
+    try:
+        with open_read_only(path, "reading whose it is", any_version=True) as connection:
+            row = connection.execute("SELECT ledger_id FROM ledger_start").fetchone()
+    except StoreError:
+        return None
+    return None if row is None else str(row[0])
 
 
 def _name_pattern(database: Path) -> str:

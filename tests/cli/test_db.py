@@ -39,7 +39,7 @@ def test_backups_beyond_those_to_keep_are_removed(database: Path, tmp_path: Path
     folder = tmp_path / "kept"
     folder.mkdir()
     for name in ("gelgate-20200101T000000Z.db", "gelgate-20200102T000000Z.db", "notes.db"):
-        (folder / name).touch()
+        shutil.copy(database, folder / name)
         (folder / f"{name}.7.part").touch()
     for left in ("gelgate-20200101T000000Z.db.7.part", "notes.db.7.part"):
         os.utime(folder / left, (0, 0))

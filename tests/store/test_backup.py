@@ -1,5 +1,6 @@
 """A copy made while a gateway runs: complete, of one moment, and alone in its file."""
 
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -80,11 +81,14 @@ def test_two_backups_at_once_do_not_disturb_each_other(store: Store, path: Path,
 
 
 def test_in_a_folder_the_time_is_in_the_name(store: Store, path: Path, tmp_path: Path) -> None:
-    """And such copies are found again, others are not."""
+    """And such copies are found again; others are not, nor are those of another station's database of this name."""
     (tmp_path / "kept").mkdir()
+    (tmp_path / "other").mkdir()
+    Store(tmp_path / "other" / "gelgate.db").close()
     copy = back_up(path, tmp_path / "kept")
-    (tmp_path / "kept" / "gelgate-mine.db").touch()
-    (tmp_path / "kept" / "gelgate-20200101T000000Z.db").touch()
+    for name in ("gelgate-mine.db", "gelgate-20200101T000000Z.db"):
+        shutil.copy(copy, tmp_path / "kept" / name)
+    back_up(tmp_path / "other" / "gelgate.db", tmp_path / "kept" / "gelgate-20200102T000000Z.db")
 
     assert [one.name for one in backups_in(tmp_path / "kept", path)] == [
         "gelgate-20200101T000000Z.db",
