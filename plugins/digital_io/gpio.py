@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from datetime import timedelta
 from typing import Any, Literal, TypeVar
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, field_validator
 
 from edge.core.digital_io import DiscoveredPort
 from edge.core.errors import ConfigError, DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, DeviceStalled
@@ -44,6 +44,15 @@ class RelaysOptions(BaseModel, extra="forbid", frozen=True):
         min_length=1, max_length=64, description="one for each channel, in their order"
     )
     active_low: bool = Field(default=False, description="on is 0 V, as with most relay modules")
+
+    @field_validator("lines")
+    @classmethod
+    def _one_channel_each(cls, lines: tuple[int, ...]) -> tuple[int, ...]:
+        """Refuse a line of two channels: what switches one on would light the other."""
+        twice = next((line for line in lines if lines.count(line) > 1), None)
+        if twice is not None:
+            raise ValueError(f"line {twice} is that of several channels; give each channel a line of its own")
+        return lines
 
 
 class Kernel:

@@ -4,6 +4,7 @@ import errno
 
 import pytest
 from fake_gpio import FALLING, RISING, FakeKernel
+from pydantic import ValidationError
 
 from edge.clock import ManualClock
 from edge.core.digital_io import OutputRule, StationView
@@ -28,6 +29,12 @@ def test_a_line_that_keeps_its_level_is_a_fault() -> None:
     relays.write(1, True)
     with pytest.raises(DeviceStalled, match=r"line 6 of /dev/gpiochip0 does not take its level"):
         relays.write(2, True)
+
+
+def test_a_line_is_that_of_one_channel() -> None:
+    """Else the light of a fail is the light of a pass."""
+    with pytest.raises(ValidationError, match="line 5 is that of several channels; give each channel a line"):
+        RelaysOptions(lines=(5, 6, 5))
 
 
 def test_edges_that_come_together_are_read_one_by_one() -> None:
