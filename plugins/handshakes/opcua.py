@@ -191,6 +191,7 @@ class OpcUaServer:
         from asyncua import ua
 
         assert self._handshake is not None
+        self._view = None  # a request that comes behind this one, at once, sees what it has done
         if (sentence := self._refuse_writer()) is not None:
             self._handshake.refuse("write", sentence)
             return ua.StatusCode(ua.StatusCodes.BadUserAccessDenied)

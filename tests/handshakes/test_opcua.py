@@ -1,5 +1,6 @@
 """The OPC UA server, asked by a client that is not ours (asyncua's)."""
 
+import asyncio
 import contextlib
 import re
 import threading
@@ -178,6 +179,28 @@ def test_cables_that_fell_silent_keep_no_plc_out(served: Served, plc: OpcUaPlc) 
         assert plc.read()["IsNotPassed"] is True
     assert served.client().start_job(1) == "Good"
     assert plc.read()["JobId"] == 1
+
+
+def test_requests_that_come_together_see_what_those_before_have_done(served: Served, plc: OpcUaPlc) -> None:
+    """Else the pass of the job before is read after the next one has begun."""
+    plc.start_job(1)
+    served.bench.press("pass")
+
+    async def ask() -> Any:
+        async def read() -> Any:
+            paths = ("JobId", "IsPass", "IsNotPassed")
+            return await aio.read_values([aio.get_node(plc.node(f"{RESULT}/{one}").nodeid) for one in paths])
+
+        async def call(path: str, *given: Any) -> None:
+            above, method = (plc.node(one).nodeid for one in (path.rpartition("/")[0], path))
+            await aio.get_node(above).call_method(aio.get_node(method), *given)
+
+        aio, job = plc.client.aio_obj, ua.Variant(2, ua.VariantType.UInt32)
+        acknowledge, start = call("ResultManagement/Acknowledge"), call(f"{JOBS}/StartSingleJob", job, "", "")
+        return await asyncio.gather(read(), acknowledge, start, read())
+
+    before, _, _, after = plc.client.tloop.post(ask())
+    assert (before, after) == ([1, True, False], [2, False, True])
 
 
 def test_one_request_reads_one_moment(served: Served, plc: OpcUaPlc) -> None:
