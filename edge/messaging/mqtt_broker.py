@@ -7,9 +7,31 @@ from typing import Literal
 
 from edge.core.errors import ConfigError, SinkUnavailable
 
-__all__ = ["Broker", "Level", "LevelRefused", "LoginRefused", "NoAnswer", "Received", "tls_context"]
+__all__ = [
+    "Broker",
+    "Level",
+    "LevelRefused",
+    "LoginRefused",
+    "NoAnswer",
+    "Received",
+    "read_password",
+    "tls_context",
+]
 
 Level = Literal["5", "3.1.1"]
+
+
+def read_password(path: Path) -> str:
+    """Read the file that holds only the password. Errors: ConfigError."""
+    try:
+        if path.is_fifo():  # reading would wait for its writer
+            raise OSError("it is a pipe, expected a file")
+        password = path.read_text(encoding="utf-8").rstrip("\r\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"password file {path} cannot be read: {error}") from error
+    if not password:
+        raise ConfigError(f"password file {path} is empty; write the password into it")
+    return password
 
 
 def tls_context(ca: Path | None, cert: Path | None = None, key: Path | None = None) -> ssl.SSLContext:

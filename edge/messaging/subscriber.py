@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from edge.clock import local_time
-from edge.core.errors import ConfigError, SinkUnavailable
+from edge.core.errors import SinkUnavailable
 from edge.core.imaging.image_bytes import kind as picture_kind
 from edge.core.printable import score_texts
 from edge.core.sink_context import TOPIC_VERSION
-from edge.messaging.mqtt_broker import Broker, Received, tls_context
+from edge.messaging.mqtt_broker import Broker, Received, read_password, tls_context
 from edge.messaging.mqtt_connection import Connection
 from edge.store.ulid import is_ulid
 
@@ -66,10 +66,7 @@ def broker_at(
 
     Errors: ConfigError for a file that cannot be used.
     """
-    try:
-        password = None if password_file is None else password_file.read_text(encoding="utf-8").rstrip("\r\n")
-    except OSError as error:
-        raise ConfigError(f"password file {password_file} cannot be read: {error.strerror}") from error
+    password = None if password_file is None else read_password(password_file)
     tls = None if ca is None else tls_context(ca)
     return Broker(host, port, f"gelgate-{client}-{os.getpid()}", username, password, tls)
 

@@ -6,10 +6,10 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
-from edge.core.errors import ConfigError, SinkRejected
+from edge.core.errors import SinkRejected
 from edge.core.sink_context import topic_level
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES
-from edge.messaging.mqtt_broker import Broker, LoginRefused, tls_context
+from edge.messaging.mqtt_broker import Broker, LoginRefused, read_password, tls_context
 from edge.messaging.mqtt_connection import Connection
 
 __all__ = ["LARGEST_PACKET_BYTES", "BrokerOptions", "MqttOptions", "TlsOptions", "TopicLevel"]
@@ -131,7 +131,7 @@ class BrokerOptions(BaseModel):
             port=self._address()[1],
             client_id=self.client_id or client_id,
             username=self.username,
-            password=None if self.password_file is None else _password(self.password_file),
+            password=None if self.password_file is None else read_password(self.password_file),
             tls=None if self.tls is None else tls_context(self.tls.ca, self.tls.cert, self.tls.key),
             keepalive_s=self.keepalive_s,
             timeout_s=self.acknowledge_s,
@@ -156,15 +156,3 @@ class MqttOptions(BrokerOptions):
         description="keep the topic `availability`; its last will needs a second connection, client id "
         "`<client_id>-availability`",
     )
-
-
-def _password(path: Path) -> str:
-    try:
-        if path.is_fifo():  # reading would wait for its writer
-            raise OSError("it is a pipe, expected a file")
-        password = path.read_text(encoding="utf-8").rstrip("\r\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"password file {path} cannot be read: {error}") from error
-    if not password:
-        raise ConfigError(f"password file {path} is empty; write the password into it")
-    return password

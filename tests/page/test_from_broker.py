@@ -279,12 +279,16 @@ def test_the_verb_serves_the_page_until_it_is_interrupted(mosquitto: LocalBroker
         ({"secret_file": "nowhere", "token_file": "secret"}, "--secret-file: .*nowhere cannot be read"),
         ({"page_port": 80}, "'port' is 80"),
         ({"password_file": "nowhere"}, "password file .*nowhere cannot be read"),
+        ({"password_file": "no text"}, "password file .*no text cannot be read"),
+        ({"password_file": "empty"}, "password file .*empty is empty; write the password into it"),
     ],
 )
 def test_options_that_cannot_work_are_refused(tmp_path: Path, options: dict[str, Any], words: str) -> None:
     secret = tmp_path / "secret"
     secret.write_bytes(SECRET)
     secret.chmod(0o640)
+    (tmp_path / "no text").write_bytes(b"\x7fELF\xff")
+    (tmp_path / "empty").touch()
     given = {key: tmp_path / one if key.endswith("_file") else one for key, one in options.items()}
 
     with pytest.raises(ConfigError, match=words):
