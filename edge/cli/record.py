@@ -21,6 +21,8 @@ from edge.recording.presses_in import find_profile, presses_in
 __all__ = ["RecordArguments", "record"]
 
 _SAY_EVERY_NS = 5_000_000_000
+# A film that says how many frames it has by its length and rate is right to some frames.
+_ESTIMATED = 0.95
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,9 @@ def _from_video(given: RecordArguments, path: Path) -> str:
         profile=profile,
     )
     scaled = f", {cut_in_words(film.size, wanted)}" if is_other and wanted else ""
-    return f"{given.out}: {write_count(count, 'frame')} of {path.name}{scaled}"
+    is_short = count < _ESTIMATED * film.frames
+    missing = f"; it says it has {film.frames}: it is cut, or has damaged frames" if is_short else ""
+    return f"{given.out}: {write_count(count, 'frame')} of {path.name}{scaled}{missing}"
 
 
 def _say_presses(out: Path, name: str) -> None:

@@ -25,6 +25,8 @@ class Film:
     path: Path
     size: tuple[int, int]
     fps: float
+    frames: int = 0
+    """As many as it says it has; 0 where it does not say. Some formats only estimate it."""
 
 
 def film_of(path: Path) -> Film:
@@ -33,11 +35,12 @@ def film_of(path: Path) -> Film:
     try:
         size = (round(film.get(cv2.CAP_PROP_FRAME_WIDTH)), round(film.get(cv2.CAP_PROP_FRAME_HEIGHT)))
         fps = float(film.get(cv2.CAP_PROP_FPS))
+        frames = max(0, round(film.get(cv2.CAP_PROP_FRAME_COUNT)))
     finally:
         film.release()
     if min(size) < 1:
         raise DatasetError(f"{path} has no picture; give a film that a player shows")
-    return Film(path, size, fps if 0 < fps < 1000 else 25.0)
+    return Film(path, size, fps if 0 < fps < 1000 else 25.0, frames)
 
 
 def record_video(

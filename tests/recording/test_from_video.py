@@ -57,6 +57,17 @@ def film(path: Path, size: tuple[int, int] = (320, 240), presses: int = 2, fps: 
     return written(path, [gel(depth, size, number) for number, depth in enumerate(depths)], fps)
 
 
+def test_a_film_that_is_cut_says_so(tmp_path: Path) -> None:
+    """The presses at its end are not in the recording."""
+    whole = film(tmp_path / "whole.avi", presses=1)
+    content, cut = whole.read_bytes(), tmp_path / "cut.avi"
+    cut.write_bytes(content[: len(content) // 2])
+    said = ran("record", tmp_path / "out", "--from-video", cut)
+
+    assert "frames of cut.avi; it says it has 81: it is cut, or has damaged frames" in said
+    assert "it says" not in ran("record", tmp_path / "out2", "--from-video", whole)
+
+
 def test_frames_keep_the_films_times(tmp_path: Path) -> None:
     """Sizes, rate and times are the file's, and each frame's label says where it comes from."""
     given = film_of(film(tmp_path / "a.avi", fps=12.5))
