@@ -29,13 +29,16 @@ class Sink:
         url = f"{self._options.url}/{self._station.topic(message)}"
         request = urllib.request.Request(url, message.payload, {"Content-Type": message.content_type})
         try:
-            urllib.request.urlopen(request, timeout=self._options.timeout_s).close()
+            with urllib.request.urlopen(request, timeout=self._options.timeout_s) as answer:
+                reached = answer.url
         except urllib.error.HTTPError as error:
             error.close()  # it is the answer too, with the connection
             kind = SinkRejected if error.code < 500 else SinkUnavailable
             raise kind(f"{url} answers {error.code} {error.reason}; see the server's log") from error
         except OSError as error:
             raise SinkUnavailable(f"{url} cannot be reached: {error}; is the server running?") from error
+        if reached != url:  # Python asks there without the message
+            raise SinkRejected(f"{url} leads to {reached}, and nothing was posted; name that in `url`")
 
     def close(self) -> None:
         """Nothing stays open between messages."""

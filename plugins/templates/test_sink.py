@@ -7,6 +7,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
+from edge.core.errors import SinkRejected
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from plugins.conformance import check_sink
@@ -31,10 +32,19 @@ class Receiver:
         class Handler(BaseHTTPRequestHandler):
             def do_POST(self) -> None:
                 payload = self.rfile.read(int(self.headers["Content-Length"]))
+                if self.path.startswith("/moved/"):
+                    self.send_response(301)
+                    self.send_header("Location", self.path.removeprefix("/moved"))
+                    self.end_headers()
+                    return
                 is_taken = len(payload) <= LARGEST
                 if is_taken:
                     posted.append((self.path.removeprefix("/"), payload))
                 self.send_response(204 if is_taken else 413)
+                self.end_headers()
+
+            def do_GET(self) -> None:
+                self.send_response(204)
                 self.end_headers()
 
             def log_message(self, *_: object) -> None: ...
@@ -43,8 +53,8 @@ class Receiver:
         threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}).start()
         return server
 
-    def open(self, station: Station) -> Sink:
-        return plugin.open(SinkOptions(url=f"http://127.0.0.1:{self._port}"), station)
+    def open(self, station: Station, path: str = "") -> Sink:
+        return plugin.open(SinkOptions(url=f"http://127.0.0.1:{self._port}{path}"), station)
 
     def received(self, n: int) -> Sequence[tuple[str, bytes]]:
         return self._posted[:n]
@@ -79,3 +89,12 @@ def test_it_conforms(closing: ExitStack) -> None:
         return receiver
 
     check_sink(make)
+
+
+def test_a_url_that_leads_elsewhere_takes_nothing(closing: ExitStack) -> None:
+    """Such as http to https: what is asked there has no message in it, so nothing is done."""
+    receiver = Receiver()
+    closing.callback(receiver.take_away)
+    sink = receiver.open(Station("root", "station"), "/moved")
+    with pytest.raises(SinkRejected, match="and nothing was posted; name that in `url`"):
+        sink.send(Message("result", b"{}"))
