@@ -5,7 +5,9 @@ What two programs may read differently, such as a proxy and this one, is answere
 Ref: RFC 9112, section 6.3 and 11.2 (request smuggling).
 """
 
+import logging
 import re
+import sys
 import threading
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -16,6 +18,8 @@ from edge.core.ports import Clock
 from edge.page.access import Access, Refused
 
 __all__ = ["MOST_OF_ONE", "REQUEST_S", "TEXT", "HttpHandler", "HttpServer"]
+
+log = logging.getLogger(__name__)
 
 # From the silence before a request to its last byte. An answer that is not read for this time ends the connection too.
 REQUEST_S: Final = 10.0
@@ -143,7 +147,9 @@ class HttpServer(ThreadingHTTPServer):
         super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Nothing: a browser that goes away in the middle is no fault."""
+        """Have a fault of ours in the log; a browser that goes away in the middle is none."""
+        if not isinstance(sys.exception(), OSError):
+            log.exception("a request of %s is not answered; its connection is ended", client_address[0])
 
 
 class HttpHandler(BaseHTTPRequestHandler):

@@ -384,6 +384,17 @@ def test_what_proxies_misread_is_refused(sink: PageSink, request_line: str, head
     assert answer.count(b"HTTP/1.1") == 1
 
 
+def test_a_fault_of_the_page_is_in_the_log(
+    sink: PageSink, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its connection ends without an answer; that of a browser that goes away is no fault."""
+    monkeypatch.setattr(sink._shown, "presses", lambda: 1 / 0)
+    with connected(sink.port, b"GET /presses.json HTTP/1.1\r\nHost: localhost\r\n\r\n") as client:
+        assert rest(client) == b""
+    assert "a request of 127.0.0.1 is not answered; its connection is ended" in caplog.text
+    assert "ZeroDivisionError" in caplog.text
+
+
 def test_a_burst_of_connections_waits_for_a_loaded_gateway() -> None:
     """Before one is accepted all are made, so that they are accepted in their order."""
     with HttpServer(("127.0.0.1", 0), HttpHandler, ManualClock()) as server, ExitStack() as opened:
