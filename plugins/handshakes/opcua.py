@@ -132,6 +132,7 @@ class OpcUaServer:
         server.set_endpoint("opc.tcp://{}:{}".format(*self._address))
         server.set_server_name("gelgate")
         server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        server.allow_remote_admin(False)  # else who says that he is "admin" may write and remove every node
         server.iserver.max_connections = 2 * MOST_CONNECTIONS  # those that come between two looks
         _note_callers(server, self._clock)
         space = await server.register_namespace(NAMESPACE)

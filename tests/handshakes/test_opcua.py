@@ -42,8 +42,8 @@ class Served:
     def address(self) -> str:
         return self.server.name.rpartition(" ")[2]
 
-    def client(self) -> OpcUaPlc:
-        self._clients.append(OpcUaPlc(self.address))
+    def client(self, user: str | None = None) -> OpcUaPlc:
+        self._clients.append(OpcUaPlc(self.address, user))
         return self._clients[-1]
 
     def forget_clients(self) -> None:
@@ -145,11 +145,18 @@ def test_wrong_arguments_start_no_job(served: Served, plc: OpcUaPlc, arguments: 
     assert (seen["AutomaticModeStateMachine/CurrentState"], seen["RefusalCode"]) == ("Ready", Code.BAD_VALUE)
 
 
-def test_no_node_can_be_written(served: Served, plc: OpcUaPlc) -> None:
+@pytest.mark.parametrize("user", [None, "admin", "Admin"])
+def test_no_node_can_be_written_or_removed(served: Served, user: str | None) -> None:
+    """asyncua takes who says so for its administrator, without a password: he could write a pass."""
+    plc = served.client(user)
     for path in VARIABLES:
         node = plc.node(path)
         with pytest.raises(ua.UaStatusCodeError):
             node.write_value(node.read_data_value().Value)
+    with pytest.raises(ua.UaStatusCodeError):
+        plc.client.delete_nodes([plc.node(RESULT)])
+    with pytest.raises(ua.UaStatusCodeError):
+        plc.node(RESULT).add_variable(ua.NodeId("more", plc.space), "more", True)
 
 
 def test_a_second_plc_may_read_and_call_nothing(served: Served, plc: OpcUaPlc) -> None:

@@ -15,10 +15,12 @@ PATIENCE_S = 120
 
 
 class OpcUaPlc:
-    """One session."""
+    """One session. user: the name that it gives."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, user: str | None = None) -> None:
         self.client: Any = Client(address, timeout=PATIENCE_S, watchdog_intervall=PATIENCE_S)
+        if user is not None:
+            self.client.set_user(user)
         try:
             self.client.connect()
         except Exception:
