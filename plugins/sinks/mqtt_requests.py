@@ -90,7 +90,10 @@ def _verb(request: Received) -> str:
 
 def _may_answer_on(request: Received) -> bool:
     own, wanted = f"{request.topic}/response", request.response_topic
-    return wanted is None or wanted == own or wanted.startswith(f"{own}/")
+    if wanted is None:
+        return True
+    # A filter is no topic: the library refuses it, and in its own thread that would be the end of the connection.
+    return (wanted == own or wanted.startswith(f"{own}/")) and not {"+", "#"} & set(wanted)
 
 
 def _response(request: Received, payload: bytes) -> Message:

@@ -60,6 +60,8 @@ def sink(scripted: ScriptedBroker, asked: Asked, stepped: SinkTo) -> MqttSink:
         f"{ROOT}/cmd/trigger",
         f"{ROOT}/cmd/relearn/response",
         f"{TRIGGER}/responses",
+        f"{TRIGGER}/response/#",
+        f"{TRIGGER}/response/+/a",
     ],
 )
 def test_an_answer_never_leaves_the_station_s_own_topics(
