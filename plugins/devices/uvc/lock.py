@@ -20,13 +20,19 @@ _SHARED = Path("/run/lock")
 
 
 class SensorLock:
-    """Held until closed. Errors: DeviceBusy with the process that holds it."""
+    """Held until closed. Errors: DeviceBusy with the process that holds it, or with why its file cannot be opened."""
 
     def __init__(self, name: str, folder: Path | None = None) -> None:
         if folder is None:
             folder = _SHARED if os.access(_SHARED, os.W_OK | os.X_OK) else Path(tempfile.gettempdir())
         self.path = folder / f"gelgate-{re.sub(r'[^A-Za-z0-9_-]', '_', name)}.lock"
-        self._file = _open(self.path)
+        try:
+            self._file = _open(self.path)
+        except OSError as error:
+            raise DeviceBusy(
+                f"sensor {name}: its lock {self.path} cannot be opened ({error.strerror}), so it may be in use; remove "
+                "it if no other program holds the sensor"
+            ) from error
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -49,6 +55,9 @@ class SensorLock:
 def _open(path: Path) -> int:
     flags = os.O_CLOEXEC | os.O_NOFOLLOW
     try:
-        return os.open(path, os.O_RDWR | os.O_CREAT | flags, 0o666)
+        file = os.open(path, os.O_RDWR | os.O_CREAT | flags, 0o644)
     except PermissionError:
         return os.open(path, os.O_RDONLY | flags)  # made by another user: flock needs no write permission
+    with suppress(OSError):  # whatever the umask, that of the service is 0027: other users need to read it
+        os.fchmod(file, 0o644)
+    return file

@@ -59,6 +59,19 @@ def test_a_link_in_its_place_is_not_followed(tmp_path: Path) -> None:
     target = tmp_path / "precious"
     target.write_text("kept")
     (tmp_path / "gelgate-2BNN4ZE7.lock").symlink_to(target)
-    with pytest.raises(OSError, match="2BNN4ZE7"):
+    with pytest.raises(
+        DeviceBusy, match=r"2BNN4ZE7\.lock cannot be opened .*; remove it if no other program"
+    ):
         SensorLock("2BNN4ZE7", tmp_path)
     assert target.read_text() == "kept"
+
+
+def test_other_users_see_that_a_service_holds_it(tmp_path: Path) -> None:
+    """Whatever its umask: without the right to read the file nobody could take the lock, nor say who has it."""
+    before = os.umask(0o077)
+    try:
+        lock = SensorLock("2BNN4ZE7", tmp_path)
+    finally:
+        os.umask(before)
+    assert lock.path.stat().st_mode & 0o777 == 0o644
+    lock.close()
