@@ -3,6 +3,8 @@
 import os
 import struct
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +12,10 @@ from small_recordings import PRODUCT, SERIAL, jpeg
 
 from edge.clock import ManualClock
 from edge.core.errors import DeviceBusy, DeviceLost, DeviceNotFound, DeviceStalled, FrameCorrupt
-from edge.core.ports import Device, DeviceIdentity
+from edge.core.ports import Device, DeviceIdentity, DiscoveredDevice
+from plugins.devices import gelsight_mini
+from plugins.devices.gelsight_mini import GelsightMiniOptions
+from plugins.devices.uvc.identity import SensorOnBus
 from plugins.devices.v4l2.controls import control_ids, control_name, pin_v4l2_controls
 from plugins.devices.v4l2.sensor import V4l2Sensor, capture_node, open_capture, video_nodes
 
@@ -227,3 +232,21 @@ class TestSensor:
         (tmp_path / "video0").touch()
         with pytest.raises(DeviceBusy, match="group video"):
             open_capture(tmp_path / "video0", (64, 48))
+
+
+def test_a_node_that_vanishes_while_it_is_opened_is_a_device_that_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is tried again; any other error would end the gateway."""
+    released = list[str]()
+    capture = SimpleNamespace(release=lambda: released.append("capture"))
+    monkeypatch.setattr(gelsight_mini, "SensorLock", lambda _: SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr(gelsight_mini, "capture_node", lambda _: SimpleNamespace(path=tmp_path / "video0"))
+    monkeypatch.setattr(gelsight_mini, "open_capture", lambda *_: capture)
+    found = SensorOnBus(None, DiscoveredDevice("bus 1", PRODUCT, IDENTITY))
+    backend: Any = None
+    options = GelsightMiniOptions(controls={"gain": 1})
+
+    with pytest.raises(DeviceLost, match=f"{PRODUCT}: No such file"):
+        gelsight_mini._open_v4l2(backend, found, options, ManualClock())
+    assert released == ["capture"]

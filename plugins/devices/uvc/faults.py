@@ -4,8 +4,6 @@ import errno
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
-import usb.core
-
 from edge.core.errors import DeviceBusy, DeviceError, DeviceLost, DeviceStalled
 from edge.core.sentence import Sentence
 
@@ -34,10 +32,10 @@ _OTHERWISE = (DeviceLost, Sentence("it stopped answering; it is opened again"))
 
 @contextmanager
 def guarded(who: str) -> Iterator[None]:
-    """Turns what pyusb raises inside into a DeviceError that names the sensor."""
+    """Turns what pyusb or the system raises inside into a DeviceError that names the sensor."""
     try:
         yield
-    except usb.core.USBError as error:
+    except OSError as error:  # a USBError is one
         kind, advice = BY_ERRNO.get(error.errno or 0, _OTHERWISE)
         raise kind(Sentence(f"{who}: {error.strerror or error} (errno {error.errno}): {advice}")) from error
     except NotImplementedError as error:
