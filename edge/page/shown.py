@@ -84,7 +84,7 @@ class Shown:
     place: site/line/station, empty where it is not known yet. away: why nothing new comes, as one sentence. draw:
     draws the picture of a press of before the start, or of one that a person is asked about, that is not here; empty
     where it cannot. None without an archive. earlier: results of before the start, oldest first; none of them is the
-    verdict on the part that lies there now.
+    verdict on the part that lies there now, and neither is one of before an interruption: lights have forgotten it.
     """
 
     def __init__(
@@ -129,13 +129,23 @@ class Shown:
         elif message.topic in _STATUS:
             status = readable(message.topic, message.payload) if message.payload else None
             with self._changed:
+                if (
+                    message.topic == "state"
+                    and _is_ready(status)
+                    and _is_ready(self._status["state"]) is False
+                ):
+                    self._presses = OrderedDict(
+                        (key, {**press, "is_earlier": True}) for key, press in self._presses.items()
+                    )
                 self._status[message.topic] = status
                 self._note()
 
     def _keep_press(self, content: dict[str, Any], *, may_be_old: bool) -> None:
         """An old one takes no place above newer ones: its part does not lie there any more."""
-        is_old = may_be_old and content["press_id"] not in self._presses
-        self._presses[content["press_id"]] = content
+        before = self._presses.get(content["press_id"])
+        is_old = may_be_old and before is None
+        mark = {"is_earlier": True} if before is not None and before.get("is_earlier") else {}
+        self._presses[content["press_id"]] = {**content, **mark}
         for other, known in list(self._presses.items()) if is_old else ():
             if _order(known) > _order(content):
                 self._presses.move_to_end(other)
@@ -268,6 +278,11 @@ class Shown:
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()
+
+
+def _is_ready(state: Mapping[str, Any] | None) -> bool | None:
+    """Tell whether the station inspects; None where it has not said so."""
+    return None if state is None else state.get("state") == "ready"
 
 
 def _order(result: Mapping[str, Any]) -> tuple[int, int]:

@@ -151,8 +151,24 @@ def test_presses_of_before_the_start_are_listed_and_drawn_when_somebody_looks() 
         shown = asked(sink.port, "/presses.json")
 
     assert [one["press_id"] for one in shown] == [ids[2], ids[1], ids[0]]
-    assert [one.get("is_earlier", False) for one in shown] == [False, True, False]
+    assert [one.get("is_earlier", False) for one in shown] == [False, True, True]
     assert [one["has_picture"] for one in shown] == [True, True, True]
+
+
+def test_no_verdict_of_before_an_interruption_is_that_of_now(sink: PageSink) -> None:
+    """As lights forget it: meanwhile another part may have been put there."""
+
+    def find_earlier(*messages: Message) -> list[bool]:
+        for message in messages:
+            sink.send(message)
+        return [one.get("is_earlier", False) for one in asked(sink.port, "/presses.json")]
+
+    assert find_earlier(state("starting"), state("ready"), *press(1)) == [False]
+    assert find_earlier(state("ready", "another reason")) == [False]
+    assert find_earlier(state("halted", "unplugged")) == [False]  # a pass is not shown, a fail stays
+    assert find_earlier(state("ready")) == [True]
+    assert find_earlier(press(1)[0]) == [True]
+    assert find_earlier(*press(2)) == [False, True]
 
 
 @pytest.mark.parametrize(
