@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from edge import registry
@@ -96,7 +95,9 @@ def _build(
     commands = Commands(handlers, policy_of(config), store, clock, config.commands.requests_per_minute)
     by_name: dict[str, PressStage] = {}
     draw_again = _drawer(config, store, lambda: selection.bundles, by_name.values())
-    sinks = _open_sinks(config, _sink_context(config, clock, retained_state, commands, draw_again), closing)
+    sinks = _open_sinks(
+        config, _sink_context(config, clock, store, retained_state, commands, draw_again), closing
+    )
     path, before = config.store.path, _names_before(config)
     publisher = Publisher(path, sinks, retained_state, clock, random.Random(), lock=lock, before=before)
     listeners: list[Callable[[Message], object]] = [publisher.announce]
@@ -221,6 +222,7 @@ def _open_store(config: Config, clock: Clock, closing: ExitStack) -> tuple[Publi
 def _sink_context(
     config: Config,
     clock: Clock,
+    store: Store,
     retained_state: RetainedState,
     commands: Commands,
     draw_again: Callable[[str], PressFiles],
@@ -237,32 +239,24 @@ def _sink_context(
         page=PageRequests(commands.page_verbs, commands.from_page, commands.refuse_at_page),
         picture_type=f"image/{config.station.heatmap}",
         draw=lambda press_id: PressDrawing(press_id, partial(draw_again, press_id)).draw_now().draw().sheet,
-        earlier=partial(_list_earlier, config.store.path),
+        earlier=partial(_list_earlier, store),
     )
 
 
-def _list_earlier(database: Path, most: int) -> list[dict[str, Any]]:
-    """Return what the history has of the newest results; only the page asks."""
-    from edge.store.history import HistoryQuery, read_history
-
-    found = []
+def _list_earlier(store: Store, most: int) -> list[dict[str, Any]]:
+    """Return what the history has of the newest results, oldest first; only the page asks."""
+    names = ("press_id", "sequence", "part", "position", "time_ns", "cause", "verdict", "score_ratio")
+    query = (
+        "SELECT press_id, number, part, position, time_ns, cause, nullif(verdict, 'error'), "
+        "score / nullif(threshold, 0) FROM presses ORDER BY number DESC LIMIT ?"
+    )
     try:
-        for row in read_history(database, HistoryQuery(newest=most)):
-            content = {
-                "press_id": row.press_id,
-                "sequence": row.number,
-                "part": row.part,
-                "position": row.position,
-            }
-            content |= {"time_ns": row.time_ns, "time_ms": row.time_ns // 1_000_000, "cause": row.cause}
-            content["verdict"] = None if row.verdict == "error" else row.verdict
-            content["score_ratio"] = (
-                row.score / row.threshold if row.score is not None and row.threshold else None
-            )
-            found.append(content)
+        rows = store.read("reading the newest results", lambda it: it.execute(query, (most,)).fetchall())
     except StoreError as error:
         log.warning("the presses of before the start are not shown: %s", error)
-    return found
+        return []
+    earlier = [dict(zip(names, row, strict=True)) for row in reversed(rows)]
+    return [{**one, "time_ms": one["time_ns"] // 1_000_000} for one in earlier]
 
 
 def _open_sinks(config: Config, context: Station, closing: ExitStack) -> dict[str, Sink]:
