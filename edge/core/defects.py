@@ -1,4 +1,5 @@
-"""Where on the sensor a defect lies: the connected parts of a score map above the threshold, in pixels and mm."""
+"""Where on the sensor a defect lies: the connected parts of a score map above the threshold, in pixels and mm; and what
+is known of its size and depth."""
 
 from dataclasses import dataclass, field
 
@@ -6,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Defect", "find_defects", "longest_extent"]
+__all__ = ["Defect", "Deviation", "Measured", "find_defects", "longest_extent"]
 
 
 @dataclass(frozen=True)
@@ -48,3 +49,30 @@ def longest_extent(places: NDArray[np.bool_]) -> float:
     empty."""
     outline = cv2.convexHull(cv2.findNonZero(places.astype(np.uint8)))[:, 0].astype(np.float64)
     return float(np.hypot(*(outline[:, None] - outline[None]).transpose(2, 0, 1)).max()) + 1.0
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """What is known of one deviation. A value that is not told from its error is None."""
+
+    depth_mm: float | None = None
+    """How much deeper the part is there than a good one; below 0 where it stands out."""
+    depth_u95_mm: float | None = None
+    """By how much the depth may be wrong, 95 %; without a depth, how deep it may be."""
+    size_mm: float | None = None
+    """The longest extent of what is above half of the depth."""
+    size_u95_mm: float | None = None
+    remark: str = ""
+    """Why something is None, or less sure than it looks."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was measured of one press."""
+
+    calibration: str
+    """Its name."""
+    deviations: tuple[Deviation, ...] = ()
+    """In the order of its defects."""
+    reason: str = ""
+    """Why nothing was."""

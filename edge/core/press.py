@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
 from edge.core.contact.reference import View
-from edge.core.heights.deviation import Measured
+from edge.core.defects import Measured
 from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Rejection

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
-from edge.core.defects import find_defects
+from edge.core.defects import Measured, find_defects
 from edge.core.drawn_regions import region_at
 from edge.core.errors import ArchiveError
-from edge.core.heights.deviation import Measured
 from edge.core.imaging.decode import decode
 from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.frames import CameraFrame

@@ -4,7 +4,7 @@ from typing import ClassVar, Self
 
 from pydantic import BaseModel, Field
 
-from edge.core.heights.deviation import Deviation
+from edge.core.defects import Deviation
 from edge.core.ports import Message
 from edge.messaging.payload_base import Payload, PressId
 

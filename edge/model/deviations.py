@@ -8,9 +8,9 @@ import numpy as np
 
 from edge.core.arrays import F64, U8, Mask
 from edge.core.contact.reference import View, fit_levels
-from edge.core.defects import Defect
+from edge.core.defects import Defect, Measured
 from edge.core.heights.calibration import SIZE, HeightCalibration
-from edge.core.heights.deviation import Measured, measure_deviation
+from edge.core.heights.deviation import measure_deviation
 from edge.core.heights.height_map import free_picture, part_heights
 from edge.core.imaging.known_profiles import PROFILES
 from edge.core.press import Press

@@ -23,9 +23,9 @@ from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import HeightField, Pose
 from calibration.simulator.random_parts import random_part
 from edge.core.arrays import F64, U8, Mask
-from edge.core.defects import longest_extent
+from edge.core.defects import Deviation, longest_extent
 from edge.core.heights.calibration import HeightCalibration
-from edge.core.heights.deviation import Deviation, measure_deviation
+from edge.core.heights.deviation import measure_deviation
 from edge.core.heights.height_map import measure_heights, part_heights
 
 KINDS = ("dent", "burr", "scratch", "material_loss", "impact_mark")

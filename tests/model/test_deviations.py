@@ -11,8 +11,7 @@ from lit_surface import MM_PER_PX, calibration, free_gel, grid, light
 
 from edge.core.arrays import F64
 from edge.core.contact.mask import Touch
-from edge.core.defects import find_defects
-from edge.core.heights.deviation import Deviation
+from edge.core.defects import Deviation, find_defects
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.known_profiles import PROFILES
 from edge.core.imaging.region import Region

@@ -6,17 +6,16 @@ told.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import cv2
 import numpy as np
 
 from edge.core.arrays import F64, Mask
-from edge.core.defects import longest_extent
+from edge.core.defects import Deviation, longest_extent
 from edge.core.heights.calibration import HeightCalibration
 
-__all__ = ["Deviation", "Measured", "measure_deviation"]
+__all__ = ["measure_deviation"]
 
 # Around the places above the limit: where their flanks may lie, and up to where sound gel is compared.
 _FLANK_MM, _AROUND_MM = 0.4, 1.6
@@ -31,33 +30,6 @@ _NARROW_MM: Final = 0.4
 _LEAST_LEFT_MM: Final = 1e-4
 # By so many pixels the outline of what is small may be wrong, both ends together.
 _EDGES_PX: Final = 3.0
-
-
-@dataclass(frozen=True)
-class Deviation:
-    """What is known of one deviation. A value that is not told from its error is None."""
-
-    depth_mm: float | None = None
-    """How much deeper the part is there than a good one; below 0 where it stands out."""
-    depth_u95_mm: float | None = None
-    """By how much the depth may be wrong, 95 %; without a depth, how deep it may be."""
-    size_mm: float | None = None
-    """The longest extent of what is above half of the depth."""
-    size_u95_mm: float | None = None
-    remark: str = ""
-    """Why something is None, or less sure than it looks."""
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What was measured of one press."""
-
-    calibration: str
-    """Its name."""
-    deviations: tuple[Deviation, ...] = ()
-    """In the order of its defects."""
-    reason: str = ""
-    """Why nothing was."""
 
 
 def measure_deviation(

@@ -7,7 +7,8 @@ import pytest
 from lit_surface import MM_PER_PX, calibration, grid
 
 from edge.core.arrays import F64, Mask
-from edge.core.heights.deviation import Deviation, measure_deviation
+from edge.core.defects import Deviation
+from edge.core.heights.deviation import measure_deviation
 
 
 def dome() -> F64:
