@@ -44,6 +44,8 @@ class Acquiring:
         about = {name: str(getattr(plan, name)) for name in ("part", "position", "profile")}
         self.folder = AcquisitionFolder(plan.output, {**about, "region": str(self._region)})
         self.pieces = Pieces(self.folder.presses, plan.per_piece, Keys(sys.stdin) if plan.enter else None)
+        for name, piece in self.folder.named.items():
+            self.pieces.see_again(name, piece)
         self._distances = PlaceDistances()
         self._shown: NDArray[np.uint8] | None = None
 

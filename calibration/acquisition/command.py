@@ -127,10 +127,10 @@ def _run(acquiring: "Acquiring", stream: Stream, limit: int, most: int, go_on: b
         for why in acquiring.left_out[said:]:
             typer.echo(f"warning: left out: {why}", err=True)
         said = len(acquiring.left_out)
-        if kept is None:
+        if kept is None or isinstance(found, str):
             continue
         standing = acquiring.standing
-        acquiring.folder.log(signals(standing, kept.path.name, "" if isinstance(found, str) else found.name))
+        acquiring.folder.log(signals(standing, kept.path.name, found.name, found.piece))
         typer.echo(press_line(standing, kept.piece))
         if standing.presses % ROUND == 0:
             typer.echo("\n".join(forecast_lines(standing, limit)))

@@ -3,7 +3,7 @@
     acquisition.json   what is pressed and how it is seen; an acquisition continues only with the same
     presses/           the camera's bytes: <part>_<position>_s<piece>_p<press>, or press_<number> of unknown pieces
     free/              pictures of the free gel
-    signals.jsonl      what was printed after each press
+    signals.jsonl      what was printed after each press, and the name of its piece where the source has one
     coverage.png       where presses still show something new
 
 `gelgate fit FOLDER/presses --no-contact FOLDER/free` learns from it. A press is known by its bytes: a source that is
@@ -77,6 +77,17 @@ class AcquisitionFolder:
     def free(self) -> list[Path]:
         """The pictures of the free gel."""
         return sorted(path for path in (self.root / "free").iterdir() if path.suffix != ".part")
+
+    @property
+    def named(self) -> dict[str, int]:
+        """The numbers of the pieces that sources have named, by these names."""
+        try:
+            lines = (self.root / "signals.jsonl").read_text(encoding="utf-8").splitlines()
+        except (OSError, ValueError):
+            return {}
+        names = {row["file"]: row.get("piece") for line in lines if (row := _read_row(line))}
+        pieces = [(names.get(kept.path.name), kept.piece) for kept in self.presses]
+        return {name: piece for name, piece in pieces if isinstance(name, str) and piece is not None}
 
     def find(self, payload: bytes) -> KeptPress | None:
         """Return the press with these bytes, if it is here."""
@@ -154,6 +165,15 @@ def _hold(root: Path) -> ExitStack:
         return held.pop_all()
 
 
+def _read_row(line: str) -> dict[str, object] | None:
+    """Read what was printed after a press; None for half a line, of a program that was killed."""
+    try:
+        row = json.loads(line)
+    except ValueError:
+        return None
+    return row if isinstance(row, dict) and isinstance(row.get("file"), str) else None
+
+
 def _digest(payload: bytes) -> str:
     return hashlib.sha256(payload).hexdigest()
 
@@ -210,7 +230,7 @@ class Pieces:
         return self._count(self.next if is_new or not self._newest else self._newest)
 
     def see_again(self, name: str | None, piece: int | None) -> None:
-        """Take a press of an earlier run that came again: its name belongs to that number."""
+        """Take a piece of an earlier run that came again: its name belongs to that number."""
         if name is not None and piece is not None:
             self._numbers[name] = piece
 

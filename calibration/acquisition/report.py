@@ -128,12 +128,13 @@ def _worst(coverage: Coverage) -> str:
     return f"most at the {where}, {_percent(share)}"
 
 
-def signals(standing: Standing, file: str, source: str) -> dict[str, object]:
-    """Return the same for a program: one line of signals.jsonl."""
+def signals(standing: Standing, file: str, source: str, piece: str | None) -> dict[str, object]:
+    """Return the same for a program: one line of signals.jsonl. piece: the source's own name of it."""
     seen = standing.coverage
     return {
         "file": file,
         "source": source,
+        "piece": piece,
         "presses": standing.presses,
         "pieces": standing.pieces,
         "by_press": standing.rate(standing.presses),

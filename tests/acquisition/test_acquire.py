@@ -76,6 +76,19 @@ def test_pictures_know_their_pieces_and_are_fitted_at_once(pictures: Path, tmp_p
     assert manifest.contact is not None
 
 
+def test_a_piece_of_an_earlier_run_is_no_new_one(pictures: Path, tmp_path: Path) -> None:
+    """Its name says so; the second half of a line is of a run that was killed."""
+    out = tmp_path / "acquired"
+    words = ("bundle", "acquire", pictures / "presses", "-o", out, *OPTIONS, "--go-on", "--pattern")
+    assert gelgate(*words, "*_s00[0-3]_p01.png").code == 0
+    with (out / "signals.jsonl").open("a") as file:
+        file.write('{"file": "bolt-')
+    done = gelgate(*words, "*_s00[1-4]_p02.png")
+    assert done.code == 0, done.err
+    assert {name[:14] for name in names(out)} == {f"bolt-pos1_s00{k}" for k in range(1, 6)}
+    assert "8 presses of 5 pieces: at most" in done.out
+
+
 def test_a_sensor_is_read_and_an_acquisition_continues(recording: Path, tmp_path: Path) -> None:
     """The virtual sensor of a station plays the recording twice: presses that are there are not taken again."""
     station = tmp_path / "station.toml"
