@@ -36,6 +36,9 @@ _CANDIDATES, _RATED, _FIRST_ROUNDS, _FINE_ROUNDS = _TURNS, 8, 3, 2
 # left, and the search ends, after a round that moved it by less, pixels of each.
 _NEAR_ROUNDS, _SMALL_STILL_PX, _STILL_PX = 10, 0.3, 0.05
 _INSIDE_POWER = 0.05
+# Slopes of a press count up to this many times the steepest of the learnt part: a dark spot or a hair must not hide
+# where the part lies. No sound press of two real balls and of a simulated one on a marker gel has steeper ones.
+_STEEPER = 2.0
 
 
 def shrunk(picture: F32, side: int = SIDE_PX) -> F32:
@@ -156,6 +159,7 @@ class Registrar:
         self._ground = self.light.levels(self._template)
         slopes = part.colours.slopes(shrunk(self._template))
         self._search = PoseSearch(slopes, part.is_turning)
+        self._steepest = _STEEPER * float(np.linalg.norm(slopes, axis=2).max())
         self._factor = max(part.learnt.shape) / max(slopes.shape)
         self._shown = find_relief(part.colours.slopes(self._template)) & part.learnt
         self._shown_px = max(1, int(np.count_nonzero(self._shown)))
@@ -170,7 +174,7 @@ class Registrar:
                 f"a press to register is uint8 {self.part.free.shape}, found {rgb.dtype} {rgb.shape}"
             )
         added = self.light.find_change(rgb)
-        alignment = self._find(self.part.colours.slopes(shrunk(added)))
+        alignment = self._find(_limit(self.part.colours.slopes(shrunk(added)), self._steepest))
         pose = alignment.pose.scale(self._factor)
         moved = turn_colours(added, pose, self.part.colours)
         away = field_depth(pose, self.part.learnt.shape)
@@ -210,6 +214,14 @@ class Registrar:
                 "to the middle"
             )
         return None
+
+
+def _limit(slopes: F32, steepest: float) -> F32:
+    """Return slopes of which none is steeper, float32 (h, w, 2)."""
+    steep = np.linalg.norm(slopes, axis=2)
+    if steep.max() <= steepest:
+        return slopes
+    return np.asarray(slopes * (steepest / np.maximum(steep, steepest))[..., None], np.float32)
 
 
 def in_pose(added: F32, pose: Pose, colours: SlopeColours) -> tuple[F32, Mask]:

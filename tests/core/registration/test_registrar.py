@@ -233,6 +233,17 @@ def test_a_second_part_does_not_lead_away() -> None:
     assert found.refusal or _apart(found.pose, true, _bank_pose("BLOCK"))[0] < 1.0
 
 
+def test_a_dark_spot_beside_the_part_does_not_lead_away() -> None:
+    """It is steeper than the part, and tells nothing of where it lies."""
+    true = Pose(-6.0, 4.0, 0.9)
+    rgb = parts.press(parts.BLOCK, true)
+    cv2.circle(rgb, (100, 100), 6, (0, 0, 0), -1)
+    found = registrar("BLOCK").register(rgb)
+
+    assert found.refusal is None
+    assert _apart(found.pose, true, _bank_pose("BLOCK"))[0] < 1.0
+
+
 def dotted(rgb: np.ndarray) -> np.ndarray:
     """As a marker gel shows it: its dots are on the free gel too, and stay where they are."""
     dots = np.ones((parts.SIDE, parts.SIDE, 1), np.float32)
