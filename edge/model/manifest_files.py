@@ -138,25 +138,33 @@ Pixels = Annotated[float, Field(ge=-LONGEST_SIDE, le=2 * LONGEST_SIDE)]
 class DotsEntry(Entry):
     """`MarkerDots`, in pixels of the region: the dots of the gel, which are filled in a press before anything else.
 
-    places: x and y on the free gel. darker: the share of the light by which a dot's pixel is darker.
+    places: x and y on the free gel. darker: the share of the light by which a dot's pixel is darker. largest: area
+    of the largest dot in discs of that width, where each learnt press shows every dot; absent in older bundles.
     """
 
     places: tuple[tuple[Pixels, Pixels], ...] = Field(min_length=1, max_length=4096)
     apart_px: Pixels
     width_px: float = Field(ge=1, le=LONGEST_SIDE)
     darker: float = Field(gt=0, lt=1)
+    largest: float | None = Field(None, gt=0)
 
     @classmethod
     def of(cls, dots: "MarkerDots") -> "DotsEntry":
         places = tuple((float(x), float(y)) for x, y in dots.places)
-        return cls(places=places, apart_px=dots.apart_px, width_px=dots.width_px, darker=dots.darker)
+        return cls(
+            places=places,
+            apart_px=dots.apart_px,
+            width_px=dots.width_px,
+            darker=dots.darker,
+            largest=dots.largest,
+        )
 
     @cached_property
     def opened(self) -> "MarkerDots":
         """What fills them in presses."""
         from edge.core.imaging.marker_dots import MarkerDots
 
-        return MarkerDots(np.array(self.places), self.apart_px, self.width_px, self.darker)
+        return MarkerDots(np.array(self.places), self.apart_px, self.width_px, self.darker, self.largest)
 
     @model_validator(mode="after")
     def _apart(self) -> "DotsEntry":

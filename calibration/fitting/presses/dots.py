@@ -25,7 +25,7 @@ def take_out_dots(presses: NominalPresses, pixels_per_mm: float) -> NominalPress
     mixed = _find_mixed(presses, pixels_per_mm, dots is not None)
     if mixed:
         presses = replace(presses, faults=(*presses.faults, *mixed))
-    return presses if dots is None else fill_dots(presses, dots)
+    return presses if dots is None else fill_dots(presses, dots.learn(list(presses.frames)))
 
 
 def fill_dots(presses: NominalPresses, dots: MarkerDots) -> NominalPresses:

@@ -2,11 +2,13 @@
 
 Dots move with the gel's shear, so two presses of one part show them at different places, and a detector takes that for
 damage. They are found in the free gel, found again in each press as dark blobs near where they are expected, and filled
-from what surrounds them. What lies under a dot is not seen, and nothing is judged there.
+from what surrounds them. What lies under a dot is not seen, and nothing is judged there. A dot that is not found where
+its neighbours are says that something hides it: its place is drawn dark, which no sound press shows.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -34,6 +36,8 @@ _DIAGONAL: Final = 1.6
 _RIM: Final = 0.25
 # A dot may look this many times as large as usual where a part stretches or hides it.
 _SIZE: Final = (0.25, 2.2)
+# The largest dot of the learnt presses times this is the largest of any press.
+_LARGEST: Final = 1.2
 # How far from where its neighbours are shifted to a dot is looked for, in distances between dots. Dots that moved by
 # more than half of that distance are reached from round to round, over neighbours that moved less.
 _REACH, _ROUNDS = 0.3, 6
@@ -50,6 +54,9 @@ class MarkerDots:
     width_px: float
     darker: float
     """Share of the light by which a pixel of a dot is darker than the brightest around it."""
+    largest: float | None = None
+    """Area of the largest dot of a press, in discs of that width: a larger dark blob is none, and a dot that is not
+    seen is drawn dark. None where learnt presses miss dots, or it was not learnt: neither is done."""
 
     def __post_init__(self) -> None:
         if self.places.ndim != 2 or self.places.shape[1] != 2 or not len(self.places):
@@ -74,10 +81,30 @@ class MarkerDots:
         """
         if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
             raise ValueError(f"a picture is uint8 (h, w, 3), found {rgb.dtype} {rgb.shape}")
-        hidden = self.find(rgb)
+        blobs = self._blobs(rgb)
+        seen, centres = self._match(blobs.centres)[1:]
+        hidden = self._hide(blobs, seen)
         filled = rgb.copy()
         filled[hidden] = np.rint(_continue_into(rgb, hidden)[hidden])
-        return filled
+        if self.largest is None:
+            return filled
+        absent = np.zeros(hidden.shape, np.uint8)
+        for x, y in self._missing(centres, rgb.shape[:2]):
+            cv2.circle(absent, (round(x), round(y)), round(self.width_px / 2), 1, cv2.FILLED)
+        dark = np.rint(filled * max(0.0, 1 - 2 * self.darker)).astype(np.uint8)
+        return np.where(absent[..., None] > 0, dark, filled)
+
+    def learn(self, presses: Sequence[U8]) -> "MarkerDots":
+        """Learn from sound presses, uint8 (h, w, 3) each, how large a dot looks, and whether each shows all."""
+        largest = 0.0
+        for rgb in presses:
+            blobs = self._blobs(rgb)
+            _, seen, centres = self._match(blobs.centres)
+            if len(self._missing(centres, rgb.shape[:2])):
+                return replace(self, largest=None)
+            shares = blobs.areas[seen] / _disc(self.width_px)
+            largest = max(largest, float(shares[~blobs.is_cut[seen]].max(initial=0)))
+        return replace(self, largest=min(_SIZE[1], round(_LARGEST * largest, 3)) or None)
 
     def find(self, rgb: U8) -> Mask:
         """Find the dots of a picture with their rims, bool (h, w). rgb: uint8 (h, w, 3).
@@ -85,8 +112,11 @@ class MarkerDots:
         A dot is one dark blob near its place, shifted about as its neighbours are. So a further dark blob is none.
         """
         blobs = self._blobs(rgb)
+        return self._hide(blobs, self._match(blobs.centres)[1])
+
+    def _hide(self, blobs: "_Blobs", seen: NDArray[np.int64]) -> Mask:
         is_dot = np.zeros(len(blobs.areas), np.bool_)
-        is_dot[self._match(blobs.centres)[1]] = True
+        is_dot[seen] = True
         side = 2 * max(1, round(_RIM * self.width_px)) + 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
         return np.asarray(cv2.dilate(blobs.mask(is_dot), disc) > 0)
@@ -94,20 +124,21 @@ class MarkerDots:
     def find_shifts(self, rgb: U8) -> F64:
         """Find how far each dot of a picture lies from its place, float64 (n, 2), NaN where it is not seen."""
         blobs, shifts = self._blobs(rgb), np.full(self.places.shape, np.nan)
-        dots, seen = self._match(blobs.centres)
+        dots, seen, _ = self._match(blobs.centres)
         shifts[dots] = blobs.centres[seen] - self.places[dots]
         return shifts
 
     def _blobs(self, rgb: U8) -> "_Blobs":
         """Find the dark blobs that may be dots."""
         blobs = _Blobs.of(_dark(rgb, 2 * self.width_px, self.darker))
-        low, high = (share * _disc(self.width_px) for share in _SIZE)
+        low, high = (share * _disc(self.width_px) for share in (_SIZE[0], self.largest or _SIZE[1]))
         return blobs.choose((blobs.areas < high) & (blobs.is_cut | (blobs.areas > low)))
 
-    def _match(self, centres: F64) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return which dots are seen, and which blobs they are, by the blobs' centres, float64 (m, 2)."""
+    def _match(self, centres: F64) -> tuple[NDArray[np.int64], NDArray[np.int64], F64]:
+        """Return which dots are seen, which blobs they are, by the blobs' centres, float64 (m, 2), and where the dots
+        that are not seen should be, float64 (k, 2)."""
         if not len(centres):
-            return np.zeros(0, np.int64), np.zeros(0, np.int64)
+            return np.zeros(0, np.int64), np.zeros(0, np.int64), self.places
         rows = np.arange(len(self.places))
         nearest = _distances(self.places, centres).argmin(axis=1)
         common = np.median(centres[nearest] - self.places, axis=0)
@@ -120,7 +151,12 @@ class MarkerDots:
             weight = self._nearness * is_near
             moved = weight @ (centres[nearest] - self.places) + 1e-3 * common
             shift = moved / (weight.sum(axis=1, keepdims=True) + 1e-3)
-        return rows[is_near], np.asarray(nearest[is_near], np.int64)
+        return rows[is_near], np.asarray(nearest[is_near], np.int64), (self.places + shift)[~is_near]
+
+    def _missing(self, places: F64, shape: tuple[int, ...]) -> F64:
+        """Choose the places that lie whole in a picture of (h, w)."""
+        inside = (places > self.width_px) & (places < np.array([shape[1], shape[0]]) - self.width_px)
+        return places[inside.all(axis=1)]
 
     @cached_property
     def _nearness(self) -> F64:

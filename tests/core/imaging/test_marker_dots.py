@@ -140,13 +140,39 @@ def test_what_hides_a_dot_and_is_larger_stays() -> None:
     assert np.abs(filled.astype(int) - LIGHT).max() <= 8
 
 
-def test_a_dot_that_a_bright_part_hides_is_missed_by_none() -> None:
-    """Nothing is filled where a dot is expected and none is seen."""
-    gone = np.abs(PLACES - 112).sum(axis=1).argmin()
-    press = dotted(LIGHT, np.delete(PLACES, gone, axis=0))
-    filled = known().fill(press)
-    x, y = np.rint(PLACES[gone]).astype(int)
+GONE = int(np.abs(PLACES - 112).sum(axis=1).argmin())
+
+
+@pytest.mark.parametrize("learnt", [[], [dotted(LIGHT, np.delete(PLACES, GONE + 1, axis=0))]])
+def test_a_dot_that_is_not_seen_is_missed_by_none(learnt: list[U8]) -> None:
+    """Where nothing is learnt of presses, or learnt presses miss dots too, nothing is drawn."""
+    press = dotted(LIGHT, np.delete(PLACES, GONE, axis=0))
+    filled = known().learn(learnt).fill(press)
+    x, y = np.rint(PLACES[GONE]).astype(int)
     assert (filled == press)[y - 6 : y + 7, x - 6 : x + 7].all()
+
+
+@pytest.mark.parametrize("moved", [PLACES, spread(PLACES), PLACES + 9], ids=["still", "spread", "sheared"])
+def test_a_dot_that_is_not_seen_is_drawn_where_each_learnt_press_shows_all(moved: F64) -> None:
+    """At the place that its neighbours give, as dark as a dot; all else is filled as before."""
+    dots = known().learn([dotted(LIGHT, spread(PLACES)), dotted(LIGHT, PLACES)])
+    whole_press, press = dotted(LIGHT, moved), dotted(LIGHT, np.delete(moved, GONE, axis=0))
+    filled = dots.fill(press)
+    dark = filled.max(axis=2) < 0.5 * LIGHT.max(axis=2)
+    centre = np.argwhere(dark).mean(axis=0)[::-1]
+    assert np.abs(centre - moved[GONE]).max() < WIDTH_PX / 3
+    assert dark.sum() == pytest.approx(np.pi / 4 * WIDTH_PX**2, rel=0.2)
+    assert np.abs(filled.astype(int) - LIGHT)[~dark].max() <= 8
+    assert (dots.fill(whole_press) == known().fill(whole_press)).all()
+
+
+def test_dark_damage_that_makes_a_dot_larger_than_any_learnt_one_stays() -> None:
+    """Without learnt presses a dot may be twice as large as usual, and damage beside it is filled with it."""
+    press = dotted(LIGHT, np.vstack([PLACES, PLACES[GONE] + (8, 0)]), WIDTH_PX)
+    x, y = np.rint(PLACES[GONE] + (8, 0)).astype(int)
+    limit = 0.5 * LIGHT[y, x].max()
+    assert known().fill(press)[y, x].max() > limit
+    assert known().learn([dotted(LIGHT, PLACES)]).fill(press)[y, x].max() < limit
 
 
 @pytest.mark.parametrize("rgb", [np.zeros((224, 224, 3), np.uint8), np.full((40, 30, 3), 255, np.uint8)])
