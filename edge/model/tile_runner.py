@@ -4,8 +4,9 @@ The trunk runs on one tile after the other, so memory does not grow with the fra
 on which others run. They are placed next to each other in the maps that the head reads (`edge.core.imaging.tiles`).
 
 A tile that no nominal press touches shows free gel on every sound press. It is skipped where a press looks like the
-free gel; the features of the free gel, computed once, are used instead. Where a press differs, the tile is run, so
-contact at any place is inspected.
+free gel; the features of the free gel, computed once, are used instead. Where any few pixels differ by more than noise
+and drifting light make them, the tile is run. What differs by less is not scored: specks, scratches, ripples and
+imprints that did raised a score to the limit at most.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,15 +16,21 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from edge.core.contact.mask import TOUCH_LEVELS
+from edge.core.contact.mask import TOUCH_LEVELS, squared_distance
 from edge.core.imaging.tiles import Tiles
 
 __all__ = ["FREE_LEVELS", "FreeGel", "TileRunner", "TiledMaps", "most_typical", "untouched_tiles"]
 
-# A tile looks like the free gel when no block differs by more: half of the contact level, above the noise.
+# A tile looks like the free gel where no place differs by more beyond the noise: half of the contact level.
 FREE_LEVELS = TOUCH_LEVELS / 2
 
-# Side in pixels of the blocks that are compared: 8 pixels of 1280x720 are one pixel of the contact view.
+# A place: a scratch of one pixel, smoothed, is three pixels wide. Means of larger places hide it in the noise.
+_PLACE = (3, 3)
+
+# Noise is what remains of a picture without its means over so many pixels: texture of the gel is coarser.
+_COARSE = (9, 9)
+
+# Side in pixels of the blocks by which pictures of the free gel are compared with their mean.
 BLOCK_SIDE = 8
 
 
@@ -75,17 +82,21 @@ class FreeGel:
 
     def __init__(self, runner: TileRunner, rgb: NDArray[np.uint8], untouched: Sequence[int]) -> None:
         self.untouched = frozenset(untouched)
-        self._runner, self._blocks = runner, _blocks(rgb)
+        self._runner, self._rgb = runner, rgb
+        self._most = FREE_LEVELS**2 + 2 * _estimate_noise(rgb)
         self._maps = {tap: np.zeros(shape, np.float32) for tap, shape in runner.maps.items()}
         for index in sorted(self.untouched):
             runner.run(rgb, index, self._maps)
 
     def matching(self, frame: NDArray[np.uint8]) -> frozenset[int]:
         """The untouched tiles in which a frame, uint8 (h, w, 3), looks like the free gel."""
-        difference = _blocks(frame) - self._blocks
-        is_far = np.einsum("hwc,hwc->hw", difference, difference) > FREE_LEVELS**2
-        tiles = self._runner.tiles
-        return frozenset(i for i in self.untouched if not is_far[_reach(tiles.places[i], tiles.size)].any())
+        return frozenset(index for index in self.untouched if self._is_free(frame, index))
+
+    def _is_free(self, frame: NDArray[np.uint8], index: int) -> bool:
+        (row, column), side = self._runner.tiles.places[index], self._runner.tiles.size
+        place = slice(row, row + side), slice(column, column + side)
+        difference = cv2.absdiff(frame[place], self._rgb[place]).astype(np.float32)
+        return bool(cv2.blur(squared_distance(difference), _PLACE).max() <= self._most)
 
     def paste(self, index: int, into: Mapping[str, NDArray[np.float32]]) -> None:
         """Copy the free gel's features of a tile to its place in the mosaics."""
@@ -150,10 +161,8 @@ def _blocks(frame: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.asarray(cv2.resize(padded.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _reach(place: tuple[int, int], side: int) -> tuple[slice, slice]:
-    """The blocks that a tile overlaps, also partly."""
-    row, column = place
-    return (
-        slice(row // BLOCK_SIDE, -(-(row + side) // BLOCK_SIDE)),
-        slice(column // BLOCK_SIDE, -(-(column + side) // BLOCK_SIDE)),
-    )
+def _estimate_noise(rgb: NDArray[np.uint8]) -> float:
+    """Estimate by how much two pictures of the free gel differ in a pixel, levels squared, from one of them."""
+    picture = rgb.astype(np.float32)
+    detail = squared_distance(picture - cv2.blur(picture, _COARSE))
+    return 2 * float(np.median(cv2.blur(detail, _COARSE)))

@@ -1,5 +1,6 @@
 """A tiled trunk: one tile after the other, tiles without contact skipped, and every contact inspected."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -210,6 +211,32 @@ def test_a_frame_of_odd_size_is_compared_completely() -> None:
     marked[97:, 158:] = 255
     assert free.matching(gel) == frozenset(range(len(tiles)))
     assert free.matching(marked) == frozenset(range(13))  # 13 ends one pixel before 14
+
+
+ROWS, COLUMNS = np.mgrid[:96, :160]
+STRUCTURES = {
+    "ripples that keep the mean": 20 * np.sign(np.sin(2 * np.pi * (COLUMNS + 0.5) / 8)),
+    "a bright and a dark slope": 20 * ((ROWS // 8 == 7) & (COLUMNS // 8 == 5)) * np.where(COLUMNS % 8 < 4, 1, -1),
+    "a scratch of one pixel": -20 * ((COLUMNS == 47) & (ROWS > 40) & (ROWS < 60)),
+    "a speck": -30 * ((abs(COLUMNS - 47.5) < 1) & (abs(ROWS - 47.5) < 1)),
+    "a wide, shallow imprint": 4 * ((COLUMNS > 36) & (ROWS > 36)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("prepare", [lambda rgb: rgb, smooth], ids=["as it is", "smoothed"])
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_a_tile_with_faint_structure_is_run(
+    structure: str, prepare: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    """Relief that keeps the mean of its surroundings, thin damage and a shallow imprint are no free gel; the free gel
+    with the camera's noise is."""
+    gel, plain, other = (prepare(rgb) for rgb in free_gel(3, 1))
+    free = FreeGel(TileRunner(SESSION, TILES, MAPS), gel, range(8))
+    marked = np.clip(free_gel(3, 1)[1] + STRUCTURES[structure][..., None], 0, 255).astype(np.uint8)
+    assert free.matching(plain) == free.matching(other) == frozenset(range(8))
+    for index, (top, left) in enumerate(TILES.places):
+        if STRUCTURES[structure][top : top + 64, left : left + 64].any():
+            assert index not in free.matching(prepare(marked))
 
 
 def test_the_most_typical_frame_is_one_of_them() -> None:
