@@ -109,7 +109,8 @@ class InspectionTable(Table):
     takeover: Literal["on request", "by itself"] = Field(
         default="on request",
         description="whether a shadow takes the place of the bundle in use when adopt_shadow asks for it, or as soon "
-        "as that request would not be refused; one that was taken back waits for a request",
+        "as that request would not be refused and nobody has to answer for it (operations.md); one that was taken "
+        "back waits for a request",
     )
     part: PlainText | None = Field(
         default=None,

@@ -1,10 +1,10 @@
 """A shadow: a bundle that scores presses beside the one in use and decides nothing; whether it may take over."""
 
-import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from edge.core.binomial import rate_limits
 from edge.core.printable import write_count
 
 __all__ = ["LEAST_COMPARED", "LEAST_ON_NEW_GEL", "JudgedTwice", "Weighing"]
@@ -20,7 +20,8 @@ shadow but damage, which is compared. Fewer say nothing of a gel: 4 are the fewe
 
 _MOST_BY_CHANCE: Final = 0.05
 """A shadow need not wait where the good presses on which the two differ favour it as much as this seldom by chance
-(sign test, McNemar 1947): five of five, or eight of nine."""
+(sign test, McNemar 1947): five of five, or eight of nine. By itself it does not take over where the presses on which
+they differ, but damage, speak as much against it."""
 
 _JUDGED: Final = ("pass", "fail", "unsure")
 
@@ -117,12 +118,10 @@ class Weighing:
         worse = sum(
             one.saying != "damaged" and one.verdict == "pass" and one.other != "pass" for one in self.presses
         )
-        differing = better + worse
-        by_chance = sum(math.comb(differing, k) for k in range(better, differing + 1)) / 2**differing
         is_lost = any(
             one.was_damaged and one.verdict != "pass" and one.other == "pass" for one in self.presses
         )
-        return by_chance <= _MOST_BY_CHANCE and not is_lost and not self.unknown
+        return _is_more(better, worse) and not is_lost and not self.unknown
 
     def refusals(self, *, has_promise: bool) -> list[str]:
         """Say why the shadow may not take over; nothing where it may."""
@@ -141,9 +140,8 @@ class Weighing:
             )
         if self.lost:
             found.append(f"it passes damage that was found: {', '.join(self.lost)}")
-        if self.is_by_itself and self.unexplained and not self.is_new_gel:
-            named = ", ".join(self.unexplained[:_MOST_NAMED])
-            found.append(f"it alone passes {named}, and nobody has said what they were")
+        if self.is_by_itself:
+            found += self._find_unanswered()
         if self.new_alarms:
             good = self._good
             now, then = _count(good, "other", passes=False), _count(good, "verdict", passes=False)
@@ -152,6 +150,31 @@ class Weighing:
                 f"pass it: {', '.join(self.new_alarms[:_MOST_NAMED])}"
             )
         return found
+
+    def _find_unanswered(self) -> list[str]:
+        """Say for what somebody has to answer who asks for the takeover; nothing where that is nothing."""
+        found: list[str] = []
+        if self.unexplained and not self.is_new_gel:
+            named = ", ".join(self.unexplained[:_MOST_NAMED])
+            found.append(f"it alone passes {named}, and nobody has said what they were")
+        if self.unknown:
+            found.append(
+                f"whether it finds the damage of {write_count(len(self.unknown), 'press')} is not known"
+            )
+        sound = [one for one in self.differing if not one.was_damaged]
+        failing = [one.press_id for one in sound if one.other != "pass"]
+        passing = len(sound) - len(failing)
+        if _is_more(len(failing), passing):
+            found.append(
+                f"{write_count(len(failing), 'press')} that nobody called damaged pass the bundle in use alone, "
+                f"{passing} the shadow alone, more than by chance: {', '.join(failing[:_MOST_NAMED])}"
+            )
+        return found
+
+
+def _is_more(more: int, fewer: int) -> bool:
+    """Tell whether equal bundles would differ this much, more presses for one than for the other, seldom by chance."""
+    return rate_limits(more, more + fewer, 1 - _MOST_BY_CHANCE)[0] > 0.5
 
 
 def _count(presses: Collection[JudgedTwice], whose: str, *, passes: bool) -> int:
