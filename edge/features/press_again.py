@@ -184,11 +184,11 @@ class PressAgain(PressStage):
 
 
 def find_seen(press: Press) -> SeenScores | None:
-    """Bring what a press shows to the places of the part. None where it has no pose, where the part looks the same in
-    several, where none of it was judged, where its score is not that of a place, such as of missing relief, and where
+    """Bring what a press shows to the places of the part. None where it has no pose, where it may lie in
+    another, where none of it was judged, where its score is not that of a place, such as of missing relief, and where
     the threshold is not above 0, so that it has no share."""
     placed, shown, verdict = press.registered, press.score_map, press.verdict
-    if placed is None or placed.symmetry != 1 or shown is None or not press.is_of_place:
+    if placed is None or not placed.is_unique or shown is None or not press.is_of_place:
         return None
     if verdict is None or not (verdict.threshold or 0.0) > 0:
         return None

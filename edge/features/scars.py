@@ -227,7 +227,7 @@ def _press_of_rules(inspection: Press, inspector: Inspector, found: Findings) ->
     )
     if not (press.score_map > press.limit).any():  # what follows is asked of places above the limit alone
         return press
-    moved_mm = None if placed is None else measure_moves(placed.pose, region, size, press.mm_per_pixel)
+    moved_mm = measure_moves(placed, region, size, press.mm_per_pixel)
     return replace(press, moved_mm=moved_mm, reach=_reach(press, inspection, inspector, found))
 
 

@@ -36,7 +36,7 @@ from edge.core.contact.mask import touched_mask
 from edge.core.contact.reference import Reference, View
 from edge.core.errors import PoseNotFound
 from edge.core.gel_scars.gel_scars import GelScars, Judged
-from edge.core.gel_scars.press import ScoredPress, without_marks
+from edge.core.gel_scars.press import ScoredPress, measure_moves, without_marks
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
@@ -191,7 +191,6 @@ class Station:
     def press(self, scored: Scored, rgb: U8, contact: Mask) -> ScoredPress:
         """Return the press as the gateway gives it to the record of the gel."""
         bundle, found = self.scorer.bundle, scored.registered
-        x_mm, y_mm = bundle.profile.mm_per_pixel
         cropped, size, region = self._crop(rgb), bundle.profile.size, bundle.region
 
         def score_map(change: View) -> F32 | None:
@@ -203,10 +202,10 @@ class Station:
             self._limit(scored),
             region,
             size,
-            (x_mm, y_mm),
+            bundle.profile.mm_per_pixel,
             contact,
             None if found is None else found.unseen_in_press,
-            None if found is None else (found.pose.x_px * x_mm, found.pose.y_px * y_mm),
+            measure_moves(found, region, size, bundle.profile.mm_per_pixel),
             score_map,
         )
 

@@ -289,9 +289,9 @@ def test_what_only_the_second_press_shows_clearly_fails(judge_twice: Judge) -> N
     assert (second.again.own_score, second.again.first_score) == (None, first.score)
 
 
-def _looks_the_same_turned(press: Press) -> Press:
+def _looks_the_same_elsewhere(press: Press) -> Press:
     assert press.registered is not None
-    return replace(press, registered=replace(press.registered, symmetry=2))
+    return replace(press, registered=replace(press.registered, is_unique=False))
 
 
 def _scores_missing_relief(press: Press) -> Press:
@@ -303,7 +303,7 @@ def _scores_missing_relief(press: Press) -> Press:
     "change",
     [
         lambda press: replace(press, registered=None),
-        _looks_the_same_turned,
+        _looks_the_same_elsewhere,
         _scores_missing_relief,
     ],
     ids=["no pose", "several places look the same", "the score is of no place"],

@@ -44,6 +44,9 @@ CROSS = ring(4)
 KEYED: Bumps = (*ring(36, 4.0), (12.0, 0.0, 5.0, 8.0))
 TEETH: Bumps = (*((10.0 * k - 40, 0.0, 3.0, 5.0) for k in range(9)), (40.0, 7.0, 3.0, 4.0))
 BAR: Bumps = tuple((3.0 * k - 30, 0.0, 4.0, 5.0) for k in range(21))
+# Both go on beyond the field.
+GRID: Bumps = tuple((24.0 * k, 24.0 * row, 6.0, 8.0) for k in range(-5, 6) for row in range(-5, 6))
+EDGE: Bumps = tuple((0.0, 4.0 * k, 6.0, 5.0) for k in range(-40, 41))
 BALL: Bumps = ((0, 0, 14, 12),)
 
 

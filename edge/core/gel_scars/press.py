@@ -13,7 +13,7 @@ from edge.core.arrays import F32, U8, Mask
 from edge.core.contact.reference import View
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.region import Region, touched_in
-from edge.core.registration.pose import Pose
+from edge.core.registration.pose import Registered
 
 __all__ = ["ScoredPress", "measure_moves", "without_marks"]
 
@@ -92,16 +92,19 @@ def _centres(count: int, size: int) -> NDArray[np.int64]:
 
 
 def measure_moves(
-    pose: Pose, region: Region, size: tuple[int, int], mm_per_pixel: tuple[float, float]
-) -> F32:
+    placed: Registered | None, region: Region, size: tuple[int, int], mm_per_pixel: tuple[float, float]
+) -> F32 | None:
     """Measure how far the place of the part that lies at each pixel of the view is from where it lies in the bank: (x,
-    y), float32 (2, 120, 160). Where the part turns, places move differently, and that about which it turns does not."""
+    y), float32 (2, 120, 160). Where the part turns, places move differently, and that about which it turns does not.
+    None where it is not known: one place of a regular part would seem to be several."""
+    if placed is None or not placed.is_unique:
+        return None
     (left, top), (width, height) = (region.x + 0.5, region.y + 0.5), size
     x, y = np.meshgrid(
         (np.arange(VIEW_SIZE[0]) + 0.5) * width / VIEW_SIZE[0] - left,
         (np.arange(VIEW_SIZE[1]) + 0.5) * height / VIEW_SIZE[1] - top,
     )
-    back = cv2.invertAffineTransform(pose.matrix((region.width, region.height)))
+    back = cv2.invertAffineTransform(placed.pose.matrix((region.width, region.height)))
     places = np.einsum("ij,jhw->ihw", back, np.stack([x, y, np.ones_like(x)]))
     return np.asarray((np.stack([x, y]) - places) * np.array(mm_per_pixel)[:, None, None], np.float32)
 

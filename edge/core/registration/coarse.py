@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from edge.core.arrays import F32
 from edge.core.registration.pose import Pose, turn_slopes
 
-__all__ = ["CoarseSearch"]
+__all__ = ["CoarseSearch", "shifts_alike"]
 
 # The transform has this many times the cells of the field, so that little wraps round from one side to the other: what
 # lies more than half of them from where most lie is not found. Balls at the rim lay up to 0.75 of the field away.
@@ -88,6 +88,34 @@ class CoarseSearch:
         """Transform slopes (..., h, w, 2) to spectra, complex64 (..., 2, grid, grid // 2 + 1)."""
         planes = np.ascontiguousarray(np.moveaxis(slopes, -1, -3), np.float32)
         return np.asarray(np.fft.rfft2(planes, (self._grid, self._grid)), np.complex64)
+
+
+def shifts_alike(
+    slopes: F32, count: int, away_px: float, least_match: float, least_inside: float
+) -> list[Pose]:
+    """Find shifts of this many pixels or more at which a part agrees with itself so well, best first, none by another.
+
+    slopes: float32 (h, w, 2). The match is over the places that both show, at least this share of the part.
+    """
+    h, w = slopes.shape[:2]
+    energy, shows = (slopes**2).sum(axis=2), np.ones((h, w), np.float32)
+    spectra = np.fft.rfft2(np.stack([slopes[..., 0], slopes[..., 1], energy, shows]), (2 * h, 2 * w))
+    across, down, power, field = spectra
+    product = np.fft.irfft2(np.abs(across) ** 2 + np.abs(down) ** 2, (2 * h, 2 * w))
+    one, other = (
+        np.fft.irfft2(each, (2 * h, 2 * w)) for each in (np.conj(power) * field, np.conj(field) * power)
+    )
+    is_shown = np.minimum(one, other) >= least_inside * float(energy.sum())
+    match = np.where(is_shown, product / np.sqrt(np.maximum(one * other, np.finfo(np.float32).tiny)), -1)
+    y, x = (np.fft.fftfreq(2 * side, 1 / (2 * side)) for side in (h, w))
+    match[np.hypot(y[:, None], x) < away_px] = -1
+    found = list[Pose]()
+    while len(found) < count and match.max() >= least_match:
+        row, column = divmod(int(match.argmax()), 2 * w)
+        found.append(Pose(float(x[column]), float(y[row])))
+        rows, columns = (row + _NEAR) % (2 * h), (column + _NEAR) % (2 * w)
+        match[rows[:, None], columns] = -1
+    return found
 
 
 def _vertex(matches: F32, at: tuple[int, int, int]) -> list[float]:

@@ -45,7 +45,7 @@ class FineSearch:
 
     def __init__(self, slopes: F32, is_turning: bool = True) -> None:
         h, w = slopes.shape[:2]
-        self._slopes, self._h, self._w = slopes, h, w
+        self.slopes, self._h, self._w = slopes, h, w
         derivatives = _derivatives(slopes, is_turning)
         change = (derivatives**2).sum(axis=(0, 3)).ravel()
         count = min(_PLACES, h * w) // _ROW * _ROW or h * w
@@ -82,7 +82,7 @@ class FineSearch:
         """The match over all places that are seen, and the share of the press's energy in the bank's field."""
         moved = turn_slopes(slopes, pose)
         is_seen = (depth_inside(pose, (self._w, self._h)) >= 0).view(np.uint8)
-        part = np.asarray(cv2.copyTo(self._slopes, is_seen), np.float32)  # 0 elsewhere
+        part = np.asarray(cv2.copyTo(self.slopes, is_seen), np.float32)  # 0 elsewhere
         energy = float(np.vdot(moved, moved))
         moved = np.asarray(cv2.copyTo(moved, is_seen), np.float32)
         inside = energy / max(float(np.vdot(slopes, slopes)), _TINY)

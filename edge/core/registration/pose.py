@@ -129,6 +129,9 @@ class Registered:
     """Why the pose cannot be trusted; None where it can."""
     gel_limits: F32 | None = None
     """As `PartInPose.gel_limits`, in the bank's pose."""
+    is_unique: bool = True
+    """False where the part looks nearly the same at another turn, a pitch further on or along an edge: the press shows
+    it as the bank has it, but which place of the part lies where is not known."""
 
     @property
     def turn_rad(self) -> float | None:

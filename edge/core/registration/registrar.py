@@ -1,5 +1,6 @@
 """A part found in a press, and the press brought to the pose in which the bank was learnt."""
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -7,7 +8,7 @@ import numpy as np
 
 from edge.core.arrays import F32, U8, Mask
 from edge.core.printable import score_texts
-from edge.core.registration.coarse import CoarseSearch
+from edge.core.registration.coarse import CoarseSearch, shifts_alike
 from edge.core.registration.colours import FreeLight, SlopeColours
 from edge.core.registration.fine import Alignment, FineSearch
 from edge.core.registration.pose import (
@@ -39,6 +40,11 @@ _INSIDE_POWER = 0.05
 # Slopes of a press count up to this many times the steepest of the learnt part: a dark spot or a hair must not hide
 # where the part lies. No sound press of two real balls and of a simulated one on a marker gel has steeper ones.
 _STEEPER = 2.0
+# A part lies beside itself from three pixels of the smaller picture on, 0.75 mm of a Mini; before it is refined a shift
+# agrees by up to so much less.
+_BESIDE_PX, _ALIKE_DOUBT = 3.0, 0.15
+# Less of a part says nothing of it.
+_LEAST_INSIDE = 0.25
 
 
 def shrunk(picture: F32, side: int = SIDE_PX) -> F32:
@@ -78,6 +84,23 @@ class PoseSearch:
         """Find the pose that is nearest to the part's own; slopes and pose as for `find`."""
         near, _ = self._middle.settle(shrunk(slopes, SIDE_PX // 2), Pose(), _NEAR_ROUNDS, _SMALL_STILL_PX)
         return self._fine.align(slopes, near.scale(self._factor), _NEAR_ROUNDS, _STILL_PX)
+
+    def repeats(self, least_match: float, least_inside: float) -> bool:
+        """Tell whether the part looks nearly the same somewhere beside itself: a pitch further on, or along an edge.
+
+        It agrees there by `least_match` where it shows, at least this share of it.
+        """
+        part = self._middle.slopes
+        starts = shifts_alike(part, _CANDIDATES, _BESIDE_PX, least_match - _ALIKE_DOUBT, least_inside)
+        for pose in self._middle.refine(part, starts, _NEAR_ROUNDS) if starts else []:
+            match, inside = self._middle.agreement(part, pose)
+            if (
+                match >= least_match
+                and inside >= least_inside
+                and math.hypot(pose.x_px, pose.y_px) >= _BESIDE_PX
+            ):
+                return True
+        return False
 
     def _worth(self, slopes: F32, pose: Pose) -> float:
         """Weigh a pose: a regular part agrees with itself a pitch further on, where less of it lies in the field.
@@ -165,6 +188,8 @@ class Registrar:
         self._shown_px = max(1, int(np.count_nonzero(self._shown)))
         self._away = depth_of(part.learnt)
         to_end = self._shown if part.scores_relief_to_end else np.zeros_like(self._shown)
+        least_inside = max(_LEAST_INSIDE, 2 * part.least_seen - 1)  # half a pitch off, either way
+        self._is_unique = part.symmetry == 1 and not self._search.repeats(part.least_match, least_inside)
         self._least_depth = np.where(to_end, np.float32(1), np.float32(_fade_px(part.learnt.shape)))
 
     def register(self, rgb: U8) -> Registered:
@@ -192,6 +217,7 @@ class Registrar:
             self.part.symmetry,
             self._refusal(alignment.match, seen_share),
             None if (limits := self.part.gel_limits) is None else gel_limits_in_pose(limits, pose),
+            self._is_unique,
         )
 
     def _find(self, slopes: F32) -> Alignment:

@@ -170,6 +170,35 @@ def test_the_turn_of_a_held_part_is_the_nearest_of_those_that_look_the_same() ->
     assert max(abs(one.pose.turn_rad) for one in found) < 0.15
 
 
+def held(name: str) -> Registrar:
+    """By the part's formula, as a fixture holds it."""
+    everywhere = np.ones((parts.SIDE, parts.SIDE), bool)
+    template = parts.press(getattr(parts, name), noise=0.0)
+    return Registrar(
+        replace(registrar("BLOCK").part, template=template, learnt=everywhere, is_held=True, least_seen=0.6)
+    )
+
+
+def test_a_regular_part_half_a_pitch_off_is_found_on_either_side() -> None:
+    """So its places are not known, though it lies at one place, within a pixel."""
+    presses = [parts.press(parts.GRID, Pose(x, 0.0), seed=9) for x in (11.5, 12.5)]
+    left, right = (held("GRID").register(rgb) for rgb in presses)
+
+    assert right.pose.x_px - left.pose.x_px == pytest.approx(-23, abs=1)
+    assert (left.refusal, right.refusal) == (None, None)
+    assert not left.is_unique
+
+
+@pytest.mark.parametrize("name", ["BLOCK", "OTHER", "TEETH", "CROSS", "BALL", "GRID", "EDGE"])
+def test_which_place_of_a_part_lies_where_is_known_of_no_part_that_repeats_itself(name: str) -> None:
+    """A pitch further on, along an edge, or turned; a part that is held keeps its turn."""
+    regular = {"GRID", "EDGE"}
+    assert held(name).register(parts.press(getattr(parts, name))).is_unique == (name not in regular)
+    if name not in regular:
+        found = registrar(name).register(parts.press(getattr(parts, name)))
+        assert found.is_unique == (name not in {"CROSS", "BALL"})
+
+
 def test_the_relief_of_a_bump_is_a_disc() -> None:
     """Up to a tenth of its steepest slope, which the formula has at 2.79 radii; its flat top is enclosed."""
     relief = find_relief(parts.slopes(((10.0, -6.0, 12.0, 8.0),), Pose()).astype(np.float32))
