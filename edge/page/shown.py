@@ -134,11 +134,14 @@ class Shown:
                     and _is_ready(status)
                     and _is_ready(self._status["state"]) is False
                 ):
-                    self._presses = OrderedDict(
-                        (key, {**press, "is_earlier": True}) for key, press in self._presses.items()
-                    )
+                    self._forget_verdict()
                 self._status[message.topic] = status
                 self._note()
+
+    def _forget_verdict(self) -> None:
+        self._presses = OrderedDict(
+            (key, {**press, "is_earlier": True}) for key, press in self._presses.items()
+        )
 
     def _keep_press(self, content: dict[str, Any], *, may_be_old: bool) -> None:
         """An old one takes no place above newer ones: its part does not lie there any more."""
@@ -190,6 +193,10 @@ class Shown:
         known, kind = self._known_alarms, self._known_alarms.get(topic_level(name), Alarm())
         content = readable("alarm", payload) if payload else None
         with self._changed:
+            if name == "contact" and content is not None and self._presses:
+                newest = next(reversed(self._presses.values()))
+                if newest.get("verdict") == "pass":  # as with lights: another part may lie there
+                    self._forget_verdict()
             if content is None:
                 self._alarms.pop(name, None)
             elif name in {*known, *self._alarms} or len(self._alarms.keys() - known) < MOST_FOREIGN_ALARMS:

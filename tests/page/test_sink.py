@@ -18,6 +18,7 @@ from edge.core.errors import SinkRejected
 from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.sink_context import Station
+from edge.core.verdict import Kind
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared
 from edge.messaging.status_payloads import Question, QuestionsPayload
 from edge.page.http_server import MOST_OF_ONE, REQUEST_S, HttpHandler, HttpServer
@@ -169,6 +170,10 @@ def test_no_verdict_of_before_an_interruption_is_that_of_now(sink: PageSink) -> 
     assert find_earlier(state("ready")) == [True]
     assert find_earlier(press(1)[0]) == [True]
     assert find_earlier(*press(2)) == [False, True]
+    contact = AlarmPayload(time_ns=T0_NS, alarm="contact", text="it is pressed").message()
+    assert find_earlier(contact, alarm_cleared("contact")) == [True, True]
+    failed = press(3, verdict=Kind.FAIL, score=2.5, score_ratio=2.5)
+    assert find_earlier(*failed, contact) == [False, True, True]
 
 
 @pytest.mark.parametrize(
