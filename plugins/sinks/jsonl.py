@@ -9,9 +9,11 @@ retained at QoS 0) is not written.
 """
 
 import errno
+import fcntl
 import json
 import os
 import threading
+from contextlib import suppress
 from io import FileIO
 from pathlib import Path
 from typing import Final
@@ -128,6 +130,8 @@ class JsonlSink:
         if path.exists() and path.stat().st_size + len(data) > self._keep_bytes // 4:
             path.replace(self._folder / "messages.1.jsonl")
         with path.open("a+b", buffering=0) as file:
+            with suppress(OSError):  # where a file system has no locks, one station alone writes here
+                fcntl.flock(file, fcntl.LOCK_EX)
             start = _find_end_of_lines(file)
             file.truncate(start)  # what a power cut has left of a line, which is sent again
             try:

@@ -1,5 +1,6 @@
 """The sinks that need no broker: lines in a file, and a list in memory."""
 
+import fcntl
 import json
 import os
 from pathlib import Path
@@ -94,6 +95,20 @@ def test_a_picture_is_on_the_disk_before_it_is_acknowledged(
     sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path), STATION)
     sink.send(Message("heatmap/1", PNG, content_type="image/png"))
     assert synced[0] == PNG
+
+
+def test_the_line_of_another_station_is_not_taken_for_a_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two stations may have one folder: each writes its line alone."""
+
+    def look(_: int) -> None:
+        with (tmp_path / "messages.jsonl").open("ab") as file, pytest.raises(BlockingIOError):
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path), STATION)
+    monkeypatch.setattr(os, "fsync", look)
+    sink.send(Message("result", b"{}"))
 
 
 def test_lines_are_rotated_within_their_room(tmp_path: Path) -> None:
