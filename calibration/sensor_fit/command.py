@@ -1,10 +1,11 @@
 """`gelgate lab calibrate`: presses of a ball in; out a file of heights for a station, or a sensor for the simulator."""
 
+import re
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     from edge.core.detector import Progress
 
 __all__ = ["calibrate"]
+
+# As `SensorFile` has it, before minutes of work.
+_SENSOR_NAME: Final = re.compile(r"[A-Za-z0-9_-]{1,60}")
 
 
 def calibrate(
@@ -139,6 +143,10 @@ def _check_output(output: Path, sheet: Path | None, overwrite: bool) -> None:
     """Errors: ConfigError before any work is done."""
     if output.suffix != ".toml":
         raise ConfigError(f"a sensor's file ends in .toml, found '{output.name}'")
+    if sheet is not None and not _SENSOR_NAME.fullmatch(output.stem):
+        raise ConfigError(
+            f"the file's name is that of the sensor: up to 60 letters, digits, '-' and '_', found '{output.stem}'"
+        )
     for path in (output, sheet):
         if path is not None and path.exists() and not overwrite:
             raise ConfigError(f"{path} exists; name another file, or replace it with --overwrite")

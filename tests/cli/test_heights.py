@@ -117,6 +117,14 @@ def test_a_calibration_is_the_same_after_it_was_written(folder: Path, tmp_path: 
     )
 
 
+def test_a_calibration_may_have_any_name(tmp_path: Path) -> None:
+    """It is that of the file."""
+    made = replace(calibration(), name='7" \\ \x7f gel', serial='a"b')
+    (tmp_path / "gel.toml").write_text(write_calibration(made))
+    again = read_calibration(tmp_path / "gel.toml")
+    assert (again.name, again.serial) == (made.name, made.serial)
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [

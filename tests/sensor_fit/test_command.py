@@ -47,6 +47,7 @@ def test_presses_give_a_sensor_that_is_simulated(folder: Path, tmp_path: Path) -
         ("new.toml", (), "give --heights or --simulator"),
         ("old.toml", ("--simulator",), "or replace it with --overwrite"),
         ("a", ("--simulator",), "a sensor's file ends in .toml, found 'a'"),
+        ("unit 1.toml", ("--simulator",), "up to 60 letters, digits, '-' and '_', found 'unit 1'"),
     ],
 )
 def test_what_cannot_be_written_is_refused(
