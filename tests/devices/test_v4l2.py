@@ -234,6 +234,13 @@ class TestSensor:
             open_capture(tmp_path / "video0", (64, 48))
 
 
+def test_a_sensor_without_a_usb_serial_has_that_of_its_product(tmp_path: Path) -> None:
+    """As where it is found on the bus: else it would be there, and have no node."""
+    plug(tmp_path, 0, product=PRODUCT, serial="", port="1-1")
+    node = capture_node(SERIAL, tmp_path / "sys", tmp_path / "dev")
+    assert node.path.resolve() == tmp_path / "dev/video0"
+
+
 def test_a_node_that_vanishes_while_it_is_opened_is_a_device_that_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

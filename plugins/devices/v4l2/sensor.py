@@ -49,7 +49,9 @@ def capture_node(serial: str, sysfs: Path = Path("/sys"), dev: Path = Path("/dev
     """The capture node of the sensor with that serial. Errors: DeviceNotFound with the nodes that exist."""
     nodes = video_nodes(sysfs, dev)
     for node in nodes:
-        if node.serial == serial and node.index == 0:
+        # Else the end of the product string, without its dash, as on the bus.
+        own = node.serial or node.product.rpartition(" ")[2].replace("-", "")
+        if own == serial and node.index == 0:
             return node
     seen = ", ".join(f"{node.path} ({node.product} {node.serial}, index {node.index})" for node in nodes)
     raise DeviceNotFound(
