@@ -122,6 +122,7 @@ class TiledMaps:
         for number, frame in enumerate(frames):
             mosaics = {tap: array[number] for tap, array in self.arrays.items()}
             matching = frozenset() if self._free is None else self._free.matching(frame)
+            self._pasted[number] &= matching  # the others are written over, and a run may fail
             for index in range(len(self._runner.tiles)):
                 if index not in matching:
                     self._runner.run(frame, index, mosaics)

@@ -1,6 +1,6 @@
 """A tiled trunk: one tile after the other, tiles without contact skipped, and every contact inspected."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
+from edge.core.errors import NotScorable
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.imaging.smoothing import smooth
@@ -149,6 +150,26 @@ def test_a_foreign_contact_leaves_no_trace(bundle: Bundle) -> None:
     scorer.score(odd)
     after = scorer.score(plain)
     np.testing.assert_array_equal(after.score_map, before.score_map)
+
+
+def test_a_run_that_fails_leaves_no_trace(bundle: Bundle, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where it had written the features of a touched tile before, the next press has those of the free gel again."""
+    scorer, plain = Scorer(bundle), presses(1, 5)[0]
+    before, run = scorer.score(plain), TileRunner.run
+
+    def fail(self: TileRunner, frame: np.ndarray, index: int, into: Mapping[str, np.ndarray]) -> None:
+        if index == 4:
+            raise RuntimeError("no memory")
+        run(self, frame, index, into)
+
+    odd = plain.copy()
+    odd[20:40, 120:140] = 20  # in tiles 2 and 3
+    monkeypatch.setattr(TileRunner, "run", fail)
+    with pytest.raises(NotScorable, match="no memory"):
+        scorer.score(odd)
+    monkeypatch.undo()
+
+    np.testing.assert_array_equal(scorer.score(plain).score_map, before.score_map)
 
 
 def test_another_light_skips_nothing(bundle: Bundle) -> None:
