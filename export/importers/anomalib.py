@@ -189,9 +189,13 @@ def _dfm(model: _Model) -> Imported:
         arrays["whitening"] = u / sigma
         arrays["offset"] = np.array([2 * np.log(sigma.astype(np.float64)).sum()])
     head = dfm_head(tap, model.grid, pool, vectors.shape[1], kind, model.steps(0.0))  # type: ignore[arg-type]  # fre or nll
-    return model.finish(
-        head, _bank(arrays, "vectors", model), {"components": vectors.shape[1], "score_type": kind}
+    facts = {"components": vectors.shape[1], "score_type": kind}
+    left = (
+        f"the model pools {h}x{w} features by {pool}: the last {h % pool} rows and {w % pool} columns are not seen, "
+        "and damage at the lower and right border is hardly found",
     )
+    says = left if h % pool or w % pool else ()
+    return model.finish(head, _bank(arrays, "vectors", model), facts, says=says)
 
 
 def _dfkde(model: _Model) -> Imported:

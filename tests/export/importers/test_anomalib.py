@@ -290,6 +290,20 @@ def test_what_a_crop_leaves_out_is_not_anomalous() -> None:
     assert "sees the middle 64% of the region, damage beyond is not found" in " ".join(model.says)
 
 
+@pytest.mark.parametrize(
+    ("pool", "says"), [(4, ""), (3, "pools 8x8 features by 3: the last 2 rows and 2 columns")]
+)
+def test_what_pooling_leaves_out_is_said(pool: int, says: str) -> None:
+    """DFM pools whole windows, as anomalib does: the rest has no part in score and map."""
+    file = opened(SMALL / "dfm.ckpt")
+    file.content["hyper_parameters"]["pooling_kernel_size"] = pool
+
+    model = anomalib.imported(file, Settings((48, 64), PIXELS_PER_MM))
+
+    assert ("are not seen" in " ".join(model.says)) == bool(says)
+    assert says in " ".join(model.says)
+
+
 @pytest.mark.importers
 def test_new_files_of_the_installed_anomalib(tmp_path: Path) -> None:
     """Trained now, by whatever version is installed, with several layers, another size and a crop."""
