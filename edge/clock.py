@@ -2,7 +2,7 @@
 
 import threading
 import time
-from datetime import UTC, date, datetime, tzinfo
+from datetime import UTC, date, datetime
 from typing import Final
 
 __all__ = ["ManualClock", "SystemClock", "local_day", "local_time"]
@@ -46,12 +46,12 @@ class ManualClock:
             self._now_ns += round(seconds * 1e9)
 
 
-def local_time(time_ns: int, zone: tzinfo | None = None) -> str:
+def local_time(time_ns: int) -> str:
     """Write a wall-clock moment for a person: local time with its offset, such as `2026-01-31 09:07:19+09:00`.
 
-    zone: None for that of this machine. What programs read has UTC (`edge.messaging.payload_base.iso_time`).
+    What programs read has UTC (`edge.messaging.payload_base.iso_time`).
     """
-    return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).astimezone(zone).isoformat(" ")
+    return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).astimezone().isoformat(" ")
 
 
 def local_day(time_ns: int) -> date:

@@ -153,12 +153,12 @@ def specimen_weights(
     return weights[:, unit]
 
 
-def interval(values: F64, confidence: float = CONFIDENCE) -> tuple[float, float] | None:
+def interval(values: F64) -> tuple[float, float] | None:
     """The percentile interval of the replicates that are defined; None when fewer than half are."""
     defined = values[np.isfinite(values)]
     if defined.size * 2 < values.size or not defined.size:
         return None
-    tail = 50.0 * (1.0 - confidence)
+    tail = 50.0 * (1.0 - CONFIDENCE)
     low, high = np.percentile(defined, [tail, 100.0 - tail])
     return float(low), float(high)
 
