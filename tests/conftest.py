@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from chromium import chromium
@@ -86,8 +87,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _one_blas_thread() -> Iterator[None]:
-    """As in the program: two threads of linear algebra spin on cores that others use as well."""
+def _one_thread() -> Iterator[None]:
+    """Two threads of linear algebra or of OpenCV spin on cores that other tests use as well."""
+    cv2.setNumThreads(1)
     with one_blas_thread():
         yield
 

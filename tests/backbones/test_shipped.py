@@ -5,8 +5,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-import onnxruntime as ort
 import pytest
+from graph_session import open_graph
 
 from calibration.experiments.backbones.evaluation import used_settings
 from calibration.experiments.backbones.sets import SETS
@@ -40,7 +40,7 @@ def test_it_answers_as_every_trunk_does(backbone: FixedTrunk) -> None:
     """Frames uint8 (n, h, w, 3) to layer1, layer2 and layer3 at strides 4, 8 and 16, positive and finite."""
     graph = backbone.trunk()
     assert hashlib.sha256(graph).hexdigest() == FACTS["variants"][backbone.name]["sha256"]
-    session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    session = open_graph(graph)
     frames = np.random.default_rng(0).integers(0, 256, (2, 64, 96, 3), dtype=np.uint8)
     maps = session.run(["layer1", "layer2", "layer3"], {"frames": frames})
     assert [m.shape for m in maps] == [(2, 64, 16, 24), (2, 128, 8, 12), (2, 256, 4, 6)]

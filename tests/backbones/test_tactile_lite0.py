@@ -7,9 +7,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-import onnxruntime as ort
 import pytest
 from command_line import gelgate
+from graph_session import open_graph
 
 from calibration.fitting.trunks import open_trunk
 from calibration.training.package import MOST_BYTES
@@ -28,7 +28,7 @@ FRAMES = np.random.default_rng(0).integers(0, 256, (2, 64, 96, 3), dtype=np.uint
 
 
 def run(trunk: bytes) -> list[np.ndarray[Any, Any]]:
-    session = ort.InferenceSession(trunk, providers=["CPUExecutionProvider"])
+    session = open_graph(trunk)
     found: list[np.ndarray[Any, Any]] = session.run(TAPS, {"frames": FRAMES})
     return found
 

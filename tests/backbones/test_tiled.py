@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import pytest
+from graph_session import open_graph
 from heads import fit, head_scores, largest_error
 from typer.testing import CliRunner
 
@@ -37,7 +38,7 @@ def tiled() -> bytes:
 
 @cache
 def session(graph: bytes) -> onnxruntime.InferenceSession:
-    return onnxruntime.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    return open_graph(graph)
 
 
 def frames(n: int) -> np.ndarray:

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import onnxruntime
 import pytest
+from graph_session import open_graph
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -49,7 +50,7 @@ def halved() -> onnxruntime.InferenceSession:
     graph = Graph("halved")
     memory = HalvedBank(graph, graph.input("bank", ("m", 16)))
     graph.output("d", memory.nearest(graph.input("q", ("q", 16))), ("q",))
-    return onnxruntime.InferenceSession(graph.serialise(), providers=["CPUExecutionProvider"])
+    return open_graph(graph.serialise())
 
 
 @pytest.mark.parametrize("rows", [1, 2, 31, 64, 65, 200])

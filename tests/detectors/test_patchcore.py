@@ -1,8 +1,8 @@
 """PatchCore and the bank of patches that it shares with InReaCh: graph against oracle, descriptor, repairs."""
 
 import numpy as np
-import onnxruntime as ort
 import pytest
+from graph_session import open_graph
 from heads import SMALL, fit, grid, presses_of, run_head
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -31,7 +31,7 @@ def test_the_binned_descriptor_is_the_published_one() -> None:
         np.testing.assert_allclose(descriptor.numpy(features, at, {}), expected, atol=1e-14)
         graph = Graph("descriptor")
         graph.output("found", descriptor.emit(graph, at, None), ("n", BINS, "cells"))
-        (found,) = ort.InferenceSession(graph.serialise()).run(None, features)
+        (found,) = open_graph(graph.serialise()).run(None, features)
         np.testing.assert_allclose(found.swapaxes(1, 2), expected, atol=2e-6)
 
 
@@ -121,5 +121,5 @@ def test_only_its_taps_are_read() -> None:
     p = patchcore.parameters("paper", coreset_fraction=0.5)
     assert patchcore.taps(p) == ("layer2", "layer3")
     bank = fit(patchcore, p, presses_of(3), grid())
-    session = ort.InferenceSession(patchcore.head(grid(), bank, p))
+    session = open_graph(patchcore.head(grid(), bank, p))
     assert {i.name for i in session.get_inputs()} & set(SMALL) == {"layer2", "layer3"}

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import onnx
-import onnxruntime
 import pytest
 from command_line import gelgate, ran
+from graph_session import open_graph
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
@@ -47,7 +47,7 @@ def test_a_checkpoint_becomes_its_trunk(tmp_path: Path) -> None:
     classifier = {"fc.weight": np.zeros((5, 512)), "bn1.num_batches_tracked": np.array(3)}
     facts = export_backbone(saved(tmp_path, tensors() | classifier), tmp_path / "trunk.onnx", RESNET18).facts
     rgb = np.random.default_rng(0).integers(0, 256, (1, 40, 40, 3), dtype=np.uint8)
-    session = onnxruntime.InferenceSession(tmp_path / "trunk.onnx", providers=["CPUExecutionProvider"])
+    session = open_graph(tmp_path / "trunk.onnx")
     expected = forward(tensors(), "resnet18", apply_steps(IMAGENET, rgb), ("layer3",))["layer3"]
     np.testing.assert_allclose(
         session.run(["layer3"], {"frames": rgb})[0], expected, atol=1e-4 * expected.max()

@@ -7,10 +7,10 @@ from unittest.mock import Mock
 import numpy as np
 import onnx
 import onnx.parser
-import onnxruntime as ort
 import pytest
 import tiny
 from command_line import ran
+from graph_session import open_graph
 
 from calibration.fitting.regions.drawing import draw_regions
 from edge.core.drawn_regions import DrawnRegion
@@ -32,7 +32,7 @@ def bundle() -> Bundle:
 def test_any_runtime_gets_the_bundles_scores(bundle: Bundle) -> None:
     """Plain onnxruntime with one input: equal maps and scores, for any batch size."""
     frames = tiny.presses(3)
-    session = ort.InferenceSession(merged_graph(bundle), providers=["CPUExecutionProvider"])
+    session = open_graph(merged_graph(bundle))
     score_map, score = session.run(["score_map", "score"], {"frames": frames})
     expected = Scorer(bundle).score_batch(frames)
     np.testing.assert_allclose(score, [s.anomaly_score for s in expected], rtol=1e-6)
@@ -48,7 +48,7 @@ def test_a_smoothed_bundle_smooths_in_the_graph(tmp_path: Path) -> None:
     expected = [Scorer(smoothed).score(frame) for frame in frames]
     merge_bundle(smoothed, tmp_path / "detector.onnx")
     merge_bundle(smoothed, tmp_path / "single", as_bundle=True)
-    session = ort.InferenceSession(tmp_path / "detector.onnx", providers=["CPUExecutionProvider"])
+    session = open_graph(tmp_path / "detector.onnx")
     score_map, score = session.run(["score_map", "score"], {"frames": frames})
     np.testing.assert_array_equal(score, [one.anomaly_score for one in expected])
     np.testing.assert_array_equal(score_map, [one.score_map for one in expected])
@@ -74,9 +74,7 @@ def test_drawn_regions_are_in_the_graph(bundle: Bundle, tmp_path: Path) -> None:
     fitted.write(tmp_path / "drawn")
     ran("export", "merge", tmp_path / "drawn", "-o", tmp_path / "detector.onnx")
     ran("export", "merge", tmp_path / "drawn", "-o", tmp_path / "single", "--as-bundle")
-    score_map, score = ort.InferenceSession(tmp_path / "detector.onnx").run(
-        ["score_map", "score"], {"frames": frames}
-    )
+    score_map, score = open_graph(tmp_path / "detector.onnx").run(["score_map", "score"], {"frames": frames})
     plain = np.stack([one.score_map for one in Scorer(bundle).score_batch(frames)])
     np.testing.assert_allclose(score_map, plain * drawn.bank[REGION_WEIGHTS], rtol=1e-5, atol=1e-7)
     np.testing.assert_array_equal(score, score_map.max(axis=(1, 2)))

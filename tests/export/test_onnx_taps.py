@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import onnx
-import onnxruntime as ort
 import pytest
 from command_line import ran
+from graph_session import open_graph
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
@@ -47,7 +47,7 @@ def conv_name(data: bytes) -> str:
 
 
 def run(data: bytes, feeds: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    session = ort.InferenceSession(data, providers=["CPUExecutionProvider"])
+    session = open_graph(data)
     names = [output.name for output in session.get_outputs()]
     return dict(zip(names, session.run(names, feeds), strict=True))
 

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime as ort
 import pytest
 import tiny
 from command_line import Outcome, gelgate
 from confirmed_station import Judged, fit
+from graph_session import open_graph
 from station import gel, jpeg
 from tiny_fit import config
 
@@ -358,8 +358,8 @@ def test_the_weights_of_a_head_are_those_of_float64() -> None:
     weights = np.random.default_rng(0).uniform(1, 3, plain.manifest.frame).astype(np.float32)
     head, bank = append(plain.graphs.head or b"", Bank(dict(plain.bank)), {TAUGHT_WEIGHTS: weights})
     maps = np.stack([one.score_map for one in Scorer(plain).score_batch(frames)]).astype(np.float64)
-    session = ort.InferenceSession(head)
-    trunk = ort.InferenceSession(plain.graphs.trunk)
+    session = open_graph(head)
+    trunk = open_graph(plain.graphs.trunk)
     taps = {i.name for i in session.get_inputs()} - set(bank.arrays)
     features = dict(
         zip([o.name for o in trunk.get_outputs()], trunk.run(None, {"frames": frames}), strict=True)

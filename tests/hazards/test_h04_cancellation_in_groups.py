@@ -10,8 +10,8 @@ and PatchCore, and for FAPM with 0.1 % of its groups' means left in.
 from collections.abc import Callable
 
 import numpy as np
-import onnxruntime as ort
 import pytest
+from graph_session import open_graph
 from heads import fit, grid, presses_of, run_head
 
 from plugins.detectors.baselines.patchcore import patchcore
@@ -45,7 +45,7 @@ def group_distances(search: Callable[..., str], queries: np.ndarray, bank: np.nd
     width = bank.shape[2]
     asked, rows = graph.input("q", ("g", "q", width)), graph.input("bank", ("g", "m", width))
     graph.output("d", search(graph, asked, rows, width), ("g", "q", 1))
-    session = ort.InferenceSession(graph.serialise(), providers=["CPUExecutionProvider"])
+    session = open_graph(graph.serialise())
     feed = {"q": queries.astype(np.float32), "bank": bank.astype(np.float32)}
     (distances,) = session.run(None, feed)
     return np.asarray(distances)[:, :, 0]
@@ -80,7 +80,7 @@ def test_a_small_distance_within_a_window() -> None:
     gallery = graph.input("gallery", ("n", presses), "int64")
     found = emit_window_nearest(graph, rows, stored, gallery, blocks, values, (width, presses))
     graph.output("d", graph.op("Gather", found, graph.constant(tables.back), axis=1), ("n", cells))
-    session = ort.InferenceSession(graph.serialise(), providers=["CPUExecutionProvider"])
+    session = open_graph(graph.serialise())
     feed = {"bank": bank.astype(np.float32), "gallery": np.array([[1, 0, 2], [2, 1, 0]])}
     (distances,) = session.run(None, {**feed, "q": near.astype(np.float32)})
     np.testing.assert_allclose(distances, 0.01, rtol=1e-2)

@@ -5,8 +5,8 @@ import hashlib
 import numpy as np
 import onnx.checker
 import onnx.parser
-import onnxruntime as ort
 import pytest
+from graph_session import open_graph
 
 from calibration.fitting.trunks import open_trunk
 from edge import registry
@@ -19,7 +19,7 @@ FRAMES = np.random.default_rng(0).integers(0, 256, (1, 64, 64, 3), dtype=np.uint
 
 
 def run(graph: bytes, tap: str) -> np.ndarray:
-    session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    session = open_graph(graph)
     answer: np.ndarray = session.run([tap], {"frames": FRAMES})[0]
     return answer
 

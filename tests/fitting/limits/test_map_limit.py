@@ -1,8 +1,8 @@
 """A map in units of its limit: by hand, and the same in the head's graph."""
 
 import numpy as np
-import onnxruntime as ort
 import pytest
+from graph_session import open_graph
 
 from calibration.fitting.limits.appended import append, find_obstacle
 from calibration.fitting.limits.map_limit import GUARD, Limit, find_contrast, make_limit, make_window, relate
@@ -112,7 +112,7 @@ def test_the_graph_computes_the_oracle(limit: Limit) -> None:
     head, bank = append(raw_head(), Bank({}), limit)
     assert bank.arrays.keys() == limit.keys()
     maps = np.concatenate([spot(1.4), spot(1.0), 4 * spot(1.2), spot(1.4) - 2])
-    score_map, score = ort.InferenceSession(head).run(["score_map", "score"], {"tap": maps, **bank.arrays})
+    score_map, score = open_graph(head).run(["score_map", "score"], {"tap": maps, **bank.arrays})
     expected = relate(limit, maps)
     assert score_map == pytest.approx(expected, rel=1e-5, abs=1e-5)
     assert score == pytest.approx(expected.max(axis=(1, 2)), rel=1e-5)

@@ -1,8 +1,8 @@
 """Missing relief: by hand, and the same in the head's graph."""
 
 import numpy as np
-import onnxruntime as ort
 import pytest
+from graph_session import open_graph
 
 from calibration.fitting.limits.appended import append
 from calibration.fitting.limits.relief_step import contact_of, find_missing, pool
@@ -116,7 +116,7 @@ def test_the_graph_computes_the_oracle() -> None:
     """Map and score of five presses agree to float32: the larger of the detector's own and of what is missing."""
     head, bank = append(own_head(), Bank({}), RELIEF, "tap")
     assert bank.arrays.keys() == RELIEF.keys()
-    session = ort.InferenceSession(head)
+    session = open_graph(head)
     presses = np.concatenate([patch(ROUGH), patch(SMOOTH), patch(SMOOTH, 5), press(((2, 2), ROUGH)), press()])
     score_map, score = session.run(["score_map", "score"], {"tap": presses, **bank.arrays})
     own = 0.5 * presses.max(axis=(1, 2, 3))

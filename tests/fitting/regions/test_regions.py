@@ -14,6 +14,7 @@ import tiny
 import turned_parts as parts
 from command_line import Outcome, gelgate
 from confirmed_station import Judged
+from graph_session import open_graph
 from registered_bundle import registered
 from station import gel, jpeg
 
@@ -364,12 +365,10 @@ def test_missing_relief_counts_in_ignored_places(other_package: None) -> None:
     known = Bank({"relief_free": np.zeros(1, np.float32)})
     extended, _ = append(head, known, {REGION_WEIGHTS: weights})
 
-    import onnxruntime as ort
-
     relief, damage = scores.copy(), scores.copy()
     relief[0, 1, 1], damage[0, 2, 2], damage[0, 6, 6] = 3.0, 9.0, 2.0
     given = {"tap": damage, "relief_map": relief, REGION_WEIGHTS: weights}
-    score_map, peak = ort.InferenceSession(extended).run(["score_map", "score"], given)
+    score_map, peak = open_graph(extended).run(["score_map", "score"], given)
     truth = np.maximum(damage.astype(np.float64) * weights, relief)
     np.testing.assert_array_equal(score_map, truth)
     assert peak == [3.0]
