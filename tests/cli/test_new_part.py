@@ -3,12 +3,14 @@
 import io
 import re
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 from command_line import gelgate
 from station import press_recording
 
+from calibration.acquisition.arguments import AcquireArguments
 from edge.config import load_config
 
 
@@ -19,10 +21,12 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_same_command_goes_on_until_the_station_inspects(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other_package: None
 ) -> None:
     """Eight presses promise 25 %, not 10 %: it says so. With a promise that they keep they are not taken again."""
     monkeypatch.chdir(tmp_path)
+    tiny = partial(AcquireArguments, method="tiny", backbone="tiny")  # what it fits by itself takes long
+    monkeypatch.setattr("calibration.acquisition.new_part.AcquireArguments", tiny)
     words = ("bolt/pos1", "--yes", "--device", "usb_mock", "--option", f"recording={recording}")
     asked = gelgate("new-part", *words, "--option", "pace=0")
     assert asked.code == 3
