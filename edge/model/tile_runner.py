@@ -16,13 +16,14 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from edge.core.contact.mask import TOUCH_LEVELS, squared_distance
+from edge.core.contact.mask import squared_distance
 from edge.core.imaging.tiles import Tiles
 
 __all__ = ["FREE_LEVELS", "FreeGel", "TileRunner", "TiledMaps", "most_typical", "untouched_tiles"]
 
-# A tile looks like the free gel where no place differs by more beyond the noise: half of the contact level.
-FREE_LEVELS = TOUCH_LEVELS / 2
+# A tile looks like the free gel where no place differs by more beyond the noise. Of real tiles of free gel, smoothed as
+# for a fit, none did, and of simulated ones 3 in 100; of damage beyond the limit of PaDiM or SPADE all but 1 in 100.
+FREE_LEVELS = 6.5
 
 # A place: a scratch of one pixel, smoothed, is three pixels wide. Means of larger places hide it in the noise.
 _PLACE = (3, 3)
