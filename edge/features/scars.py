@@ -50,6 +50,7 @@ class ScarWatch(PressStage):
         self._is_masking, self._most_blind_share = is_masking, most_blind_share
         self._free = FreeViews()
         self._left: View | None = None
+        self._is_left_known = True
         self._scars, self._serial, self._gel_id, self._unsaved = GelScars(), "", "", 0
         self._blind: Sentence | None = None
         self._mark: Sentence | None = None
@@ -103,12 +104,14 @@ class ScarWatch(PressStage):
         left out.
         """
         found = None if settled is None else settled.findings
-        if found is None:
+        if found is None:  # refused, or never at rest: what it leaves on the gel would look like marks
+            self._is_left_known = False
             return press
+        is_left_known, self._is_left_known = self._is_left_known, True
         if press.label is not None:
             self._left = found.imprint
             return press
-        return self._judge(press, inspector, found)
+        return self._judge(press, inspector, found, self._free.mean() if is_left_known else None)
 
     def record(self, press: Press, gel: GelRecord) -> None:
         """Say what is wrong with the gel, and keep the record of the scars where it is due: a result waits neither for
@@ -137,7 +140,7 @@ class ScarWatch(PressStage):
         self._alarms.say("gel_scar", self._blind)
         self._alarms.say("gel_mark", self._mark, "warning")
 
-    def _judge(self, inspection: Press, inspector: Inspector, found: Findings) -> Press:
+    def _judge(self, inspection: Press, inspector: Inspector, found: Findings, free: View | None) -> Press:
         left, self._left = self._left, found.imprint
         press = _press_of_rules(inspection, inspector, found)
         if press is None:
@@ -145,7 +148,7 @@ class ScarWatch(PressStage):
         if not (can_mask := inspection.is_of_place):
             press = replace(press, reach=None)
         is_masking = self._is_masking and can_mask
-        judged = self._scars.judge(press, self._free.mean(), left, is_masking=is_masking)
+        judged = self._scars.judge(press, free, left, is_masking=is_masking)
         self._mark = None if judged.repeated is None else _repeated(judged.repeated)
         self._unsaved = _KEPT_EVERY if judged.is_new else self._unsaved + 1
         return mask_scars(inspection, self._findings(inspection, judged), inspector.bundle)

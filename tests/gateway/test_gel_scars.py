@@ -11,7 +11,8 @@ from station import FPS, HEADER, gel, jpeg, station_config
 from stepped_station import SteppedStation
 
 from edge.core.contact.events import ReferenceCorrected
-from edge.core.press import PressLabel, StudyLabel
+from edge.core.imaging.quality import Reason, Rejection
+from edge.core.press import Press, PressLabel, StudyLabel
 from edge.core.verdict import Cause, Kind
 from edge.features.scars import ScarWatch
 from edge.press_stage import PressStage
@@ -155,4 +156,40 @@ def test_a_part_that_lies_there_after_an_interruption_is_no_free_gel(tmp_path: P
         station.play()
 
     assert station.verdicts == [Kind.FAIL, Kind.FAIL]
+    assert Cause.GEL not in [result.cause for result in station.results]
+
+
+class Refusing(PressStage):
+    """Refuses the first press, as where no piece was begun."""
+
+    def __init__(self) -> None:
+        self._is_begun = False
+
+    def admit(self, press: Press) -> Press:
+        is_begun, self._is_begun = self._is_begun, True
+        return press if is_begun else press.reject(Rejection(Reason.NO_PLACE, "begin a piece"))
+
+
+def test_what_a_damaged_part_that_was_refused_leaves_on_the_gel_is_no_mark(
+    tmp_path: Path, bundle: Path
+) -> None:
+    """A quarter of its imprint, which no judged press has shown, is there still as it is pressed again and again; it is
+    damaged little above the limit, so that the limit is kept without that quarter."""
+    rng, time_ns, rest = np.random.default_rng(3), 0, np.float32(0)
+    left, top, side = MARK
+    flat, pressed = (gel(np.random.default_rng(0), depth).astype(np.float32) for depth in (0.0, 1.0))
+    pressed[top : top + side, left : left + side] -= 20
+    with RecordingWriter(tmp_path / "presses", HEADER) as writer:
+        for _ in range(4):
+            for depth in (*repeat(0.0, 28), 0.5, *repeat(1.0, 12), 0.3):
+                frame = gel(rng, depth).astype(np.float32) + (0 if depth else rest)
+                frame[top : top + side, left : left + side] -= 20 * depth
+                writer.add(jpeg(np.clip(frame, 0, 255).astype(np.uint8)), time_ns, {})
+                time_ns += round(1e9 / FPS)
+            rest = np.float32(0.25) * (pressed - flat)
+    config = station_config(tmp_path, tmp_path / "presses", bundle)
+    with SteppedStation(config, stages={"refusing": Refusing()}) as station:
+        station.play()
+
+    assert station.verdicts == [Kind.REJECTED, *[Kind.FAIL] * 3]
     assert Cause.GEL not in [result.cause for result in station.results]
