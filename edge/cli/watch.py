@@ -103,7 +103,12 @@ def _validate(broker: Broker, topics: str, count: int | None, timeout: float | N
                 f"{printable(root)}: {write_count(number, 'message')} not checked, its topic asyncapi is empty",
                 flush=True,
             )
-    if faults or check.undescribed or (count is not None and check.checked < count):
+        for root, number in check.left_out.items():
+            print(
+                f"{printable(root)}: {write_count(number, 'message')} not checked, too many came before its asyncapi",
+                flush=True,
+            )
+    if faults or check.undescribed or check.left_out or (count is not None and check.checked < count):
         raise typer.Exit(1)
 
 

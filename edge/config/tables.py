@@ -341,6 +341,18 @@ class Config(Table):
         description="options of features of other packages, a table `[feature.NAME]` each",
     )
 
+    @model_validator(mode="after")
+    def _one_word_per_pedal(self) -> "Config":
+        said: dict[str, list[tuple[str, Mapping[str, Any]]]] = {"good": [], "damaged": []}
+        for table in self.triggers:
+            said.get(table.action, []).append((table.plugin, table.options))
+        if both := [plugin for plugin, options in said["good"] if (plugin, options) in said["damaged"]]:
+            raise ValueError(
+                f"two [[triggers]] of {both[0]} have equal options, so one press of one pedal says `good` and "
+                "`damaged`; give each its own device, serial, key or line"
+            )
+        return self
+
     @property
     def keeps_heatmap(self) -> bool:
         """Say whether a dashboard asks for the retained picture: Home Assistant has no other."""

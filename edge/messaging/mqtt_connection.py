@@ -380,16 +380,20 @@ class Connection:
             self._changed.notify_all()
 
     def _message(self, message: paho.MQTTMessage) -> None:
+        """Hand a message on. An error here would end the library's thread, and the connection would seem up."""
         if self._on_received is None:
             return
         properties = message.properties
-        self._on_received(
-            Received(
-                message.topic,
-                bytes(message.payload),
-                message.qos,
-                message.retain,
-                getattr(properties, "ResponseTopic", None),
-                getattr(properties, "CorrelationData", None),
+        try:
+            self._on_received(
+                Received(
+                    message.topic,
+                    bytes(message.payload),
+                    message.qos,
+                    message.retain,
+                    getattr(properties, "ResponseTopic", None),
+                    getattr(properties, "CorrelationData", None),
+                )
             )
-        )
+        except Exception:
+            log.exception("a message from broker %s failed here, and is left out", self.broker)

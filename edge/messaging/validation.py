@@ -5,7 +5,7 @@ It knows the document alone, not the payload models: what passes here can be rea
 
 import json
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
@@ -105,11 +105,19 @@ class StationsCheck:
         self.checked = 0
         self._documents: dict[str, DocumentCheck] = {}
         self._waiting: dict[str, list[Received]] = defaultdict(list)
+        self._left_out = Counter[str]()
 
     @property
     def undescribed(self) -> Mapping[str, int]:
         """Stations whose document has not come, with the number of their messages."""
-        return {root: len(messages) for root, messages in self._waiting.items() if messages}
+        return {
+            root: len(messages) + self._left_out[root] for root, messages in self._waiting.items() if messages
+        }
+
+    @property
+    def left_out(self) -> Mapping[str, int]:
+        """Stations whose document came after more messages than can wait, with the number of those that did not."""
+        return {root: number for root, number in self._left_out.items() if root in self._documents}
 
     def see(self, message: Received) -> Sequence[str]:
         """The faults of this message, and of those that have waited for it; requests of others are left out."""
@@ -125,6 +133,8 @@ class StationsCheck:
         if root not in self._documents:
             if len(self._waiting[root]) < MOST_WAITING:
                 self._waiting[root].append(message)
+            else:
+                self._left_out[root] += 1
             return faults
         for waiting in (*self._waiting.pop(root, []), message):
             self.checked += 1

@@ -155,3 +155,16 @@ def test_the_tables_in_the_examples_comments_are_sound(tmp_path: Path) -> None:
     assert config.actuators[0].outputs[3].rule().when == set(VERDICTS) - {"pass"}
     assert config.handshake is not None
     assert config.handshake.plugin == "modbus"
+
+
+def test_one_pedal_does_not_say_both_good_and_damaged(tmp_path: Path) -> None:
+    """Without options each table opens the first pedal; with a key each, one pedal has two buttons."""
+    before, _, _ = example().partition("# A pedal, and")
+    path = tmp_path / "gelgate.toml"
+    pedal = '\n[[triggers]]\nplugin = "hid_pedal"\naction = "{}"\noptions = {{ {} }}\n'.format
+    path.write_text(before + pedal("good", "") + pedal("damaged", ""), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"hid_pedal have equal options, .* says `good` and `damaged`"):
+        load_config(path)
+
+    path.write_text(before + pedal("good", "key = 4") + pedal("damaged", "key = 5"), encoding="utf-8")
+    assert len(load_config(path).triggers) == 2

@@ -116,6 +116,19 @@ def test_requests_that_find_no_room_are_answered(
     assert set(asked.refused) == {f"{WAITING_REQUESTS} requests are waiting; ask again later"}
 
 
+def test_a_request_that_fails_where_it_arrives_ends_no_connection(
+    scripted: ScriptedBroker, sink: MqttSink, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One whose refusal has too long a topic, and one whose topic is no text. The next one is heard."""
+    long = f"{ROOT}/cmd/{'x' * (65_530 - len(ROOT))}"
+    scripted.send(long, bytes(LARGEST_REQUEST_BYTES + 1))
+    scripted._sockets[-1].sendall(b"\x30\x05\x00\x02\xff\xfe\x00")
+    scripted.send(TRIGGER, b"{}")
+
+    wait_until(lambda: sink._requests._waiting.qsize() == 1)
+    assert sum("failed here" in line for line in caplog.messages) == 2
+
+
 def test_a_real_broker_does_not_deliver_a_huge_request(mosquitto: LocalBroker, sink_to: SinkTo) -> None:
     """One megabyte to a station that accepts 32 KiB: the broker keeps it, and the next request is served."""
     asked: list[int] = []

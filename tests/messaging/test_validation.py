@@ -34,16 +34,18 @@ def test_messages_wait_for_the_document() -> None:
 
 
 def test_what_waits_for_a_document_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first ones wait, of each station; then those of a station that never describes itself cost no memory."""
+    """The first ones wait, of each station; the others cost no memory, and are counted."""
     monkeypatch.setattr("edge.messaging.validation.MOST_WAITING", 2)
     check = StationsCheck()
     for payload in (b"on", b"online", b"off"):
         check.see(received("availability", payload))
     check.see(Received("gelgate/a/b/c/gel/v1/state", b"", 1, retain=True))
 
-    assert check.undescribed == {"gelgate/plant/line1/press2": 2, "gelgate/a/b/c": 1}
+    assert check.undescribed == {"gelgate/plant/line1/press2": 3, "gelgate/a/b/c": 1}
+    assert check.left_out == {}
     assert ["'on' is not" in fault for fault in check.see(received("asyncapi", DOCUMENT))] == [True]
     assert check.checked == 3
+    assert check.left_out == {"gelgate/plant/line1/press2": 1}
 
 
 def test_requests_and_other_topics_are_not_the_stations() -> None:
