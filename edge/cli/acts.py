@@ -43,4 +43,6 @@ def _line(act: Act) -> str:
     if act.before is not None and act.after is not None:
         changes = ((key, act.before.get(key), value) for key, value in act.after.items())
         words += [f"{key}: {before!r} -> {after!r}" for key, before, after in changes if before != after]
+    elif act.after is not None:
+        words += [f"{key}: {value!r}" for key, value in act.after.items()]
     return printable("  ".join([*words, *([act.sentence] if act.sentence else [])]))
