@@ -126,7 +126,7 @@ def _find_aged(database: Path, folder: ArchiveFolder) -> Callable[[KnownPress], 
     kept = set(list_presses(folder.folder))
     with open_read_only(database, "reading of which presses people spoke") as connection:
         _, spoken_of = read_spoken_of(connection, 0)
-    newest = kept - spoken_of
+    newest = kept - spoken_of or kept
     first = min((press.number for press in presses_since(database) if press.press_id in newest), default=0)
     return lambda press: press.number < first and press.press_id not in kept
 

@@ -181,6 +181,23 @@ def test_a_press_that_is_kept_no_longer_is_no_fault_and_a_gap_is(copy: Played, t
     assert "3 presses: 1 equal, 0 differ, 2 not made again" in nothing_newer.out
 
 
+def test_where_people_spoke_of_every_press_the_oldest_is_kept_no_longer(copy: Played) -> None:
+    """As where a pedal says so of each: what is older than all that is kept is gone for its age."""
+    for press_id in copy.ids:
+        execute(
+            copy.database,
+            "INSERT INTO acts (time_ns, running_ns, who, verb, arguments, outcome) "
+            "VALUES (1, 1, 'pedal', 'confirm_press', ?, 'done')",
+            given=(json.dumps({"press_id": press_id, "verdict": "good"}),),
+        )
+    (copy.archive / f"presses/{copy.ids[0]}.json").unlink()
+    done = copy.replay("--all")
+
+    assert done.code == 0
+    assert "2 presses: 2 equal, 0 differ, 0 not made again" in done.out
+    assert "1 are kept no longer" in done.out
+
+
 def test_the_evidence_is_in_the_chain(copy: Played) -> None:
     """A row that is given the SHA-256 of another record is a changed press."""
     copy.row("UPDATE presses SET evidence = zeroblob(32) WHERE number = 2")
