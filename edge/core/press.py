@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
 from edge.core.contact.reference import View
-from edge.core.defects import Measured
+from edge.core.defects import Defect, Measured, find_defects
 from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Rejection
@@ -229,6 +229,13 @@ class Press:
         if self.score is None or self.score_map is None:
             return False
         return math.isclose(float(self.score_map.max()), self.score, rel_tol=_SAME)
+
+    def find_places(self, threshold: float) -> list[Defect]:
+        """Find the places that are above the threshold, or that decided two presses, highest score first."""
+        level = self.again.shown_from if self.again else None
+        if self.score_map is None:
+            return []
+        return find_defects(self.score_map, threshold if level is None else level)
 
     def reject(self, rejection: Rejection) -> "Press":
         """Return it rejected, unless it is decided already."""

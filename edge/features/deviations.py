@@ -6,7 +6,6 @@ from functools import partial
 from typing import Any, Self
 
 from edge.config import Config
-from edge.core.defects import find_defects
 from edge.core.press import Press
 from edge.core.verdict import Kind
 from edge.heights.files import read_calibration
@@ -47,10 +46,10 @@ class Deviations(PressStage):
 
     def draw_again(self, press: Press, bundle: Bundle) -> Press:
         """Have it measured before its picture is drawn."""
-        verdict, scores = press.verdict, press.score_map
-        if verdict is None or scores is None or verdict.kind is Kind.PASS or press.score is None:
+        verdict, is_scored = press.verdict, press.score_map is not None and press.score is not None
+        if verdict is None or not is_scored or verdict.kind is Kind.PASS:
             return press
-        find = partial(find_defects, scores, bundle.manifest.threshold.value)
+        find = partial(press.find_places, bundle.manifest.threshold.value)
         measure, serial = self._meter.measure, self._serial
         return replace(press, measure=lambda: measure(press, find()[:MOST_DEFECTS], bundle, serial))
 

@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
-from edge.core.defects import Measured, find_defects
+from edge.core.defects import Measured
 from edge.core.drawn_regions import region_at
 from edge.core.errors import ArchiveError
 from edge.core.imaging.decode import decode
 from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock, Message
-from edge.core.press import JudgedFrame, Press, ScarFindings
+from edge.core.press import Again, JudgedFrame, Press, ScarFindings
+from edge.core.press_again import AGREED
 from edge.core.sink_context import Place
 from edge.core.verdict import Blame, Cause, Kind, Verdict
 from edge.gateway.pictures import PressDrawing
@@ -39,7 +40,7 @@ from edge.pictures.image_file import PictureForm
 from edge.pictures.press_picture import PressCaption, encode_press, encode_scores
 from edge.press_stage import OwnTable, PressStage
 from edge.store.gel_ledger import GelRecord
-from edge.store.press_archive import ArchiveFolder
+from edge.store.press_archive import ArchivedPress, ArchiveFolder
 from edge.store.press_store import PressRecord, Recorded, Store
 
 __all__ = ["PressReport", "Recorder", "WaitingPress", "draw_archived", "press_drawing"]
@@ -252,11 +253,18 @@ def draw_archived(
         light=light,
         scars=None if then.masked is None else ScarFindings(blame, archive.read_masked(then)),
         judged=JudgedFrame(CameraFrame(frame, 0, 0), Touch(*then.touch), archive.read_reference(then)),
+        again=_again(then, bundle),
     )
     for stage in stages:
         press = stage.draw_again(press, bundle)
     draw = press_drawing(press, bundle, then.station, heatmap)
     return PressFiles() if draw is None else draw()
+
+
+def _again(then: ArchivedPress, bundle: Bundle) -> Again | None:
+    """Return what decided an archived press together with the one before; None where its own score did."""
+    level = AGREED * bundle.manifest.threshold.value
+    return None if then.own_score is None else Again("", is_asked=False, shown_from=level)
 
 
 def _deviations(measured: Measured, press: Press) -> DeviationsPayload:
@@ -314,8 +322,7 @@ def _defects(press: Press, bundle: Bundle) -> Mapping[str, Any]:
     """Return where the press exceeds the threshold, or what is decided by; nothing for a pass and without a score."""
     if press.score_map is None or press.verdict is None or press.verdict.kind is Kind.PASS:
         return {}
-    level = press.again.shown_from if press.again else None
-    defects = find_defects(press.score_map, bundle.manifest.threshold.value if level is None else level)
+    defects = press.find_places(bundle.manifest.threshold.value)
     x_mm, y_mm = bundle.profile.mm_per_pixel
     regions = bundle.manifest.regions.regions if bundle.manifest.regions else ()
     pose = None if press.registered is None else press.registered.pose

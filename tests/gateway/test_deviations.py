@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -15,6 +16,9 @@ from stepped_station import SteppedStation
 from edge.core.heights.calibration import CELLS, HeightCalibration
 from edge.core.heights.height_map import free_picture
 from edge.core.imaging.sensor_check import colour_cells
+from edge.core.press import Again, Press
+from edge.core.verdict import Kind, Verdict
+from edge.features.deviations import Deviations
 from edge.gateway.pictures import Pictures
 from edge.heights.files import write_calibration
 from edge.messaging.result_payload import PressFiles
@@ -108,6 +112,22 @@ def test_it_is_measured_again_after_a_stop(
     for press_id, payload in measured.items():
         assert waiting[f"deviations/{press_id}"] == payload.encode()
         assert waiting[f"heatmap/{press_id}"] == expected[press_id].sheet
+
+
+def test_what_decided_two_presses_is_measured(bundle: Path) -> None:
+    """The second one lies below the threshold there; its defects are those of the result, none less."""
+    meter, opened = Mock(), Bundle.load(bundle)
+    limit = opened.manifest.threshold.value
+    score_map = np.zeros(opened.manifest.frame, np.float32)
+    score_map[40:44, 50:54] = 0.97 * limit
+    press = Press(Verdict(Kind.FAIL, 1.02 * limit, limit, 0.0), score_map=score_map)
+    again = Again("", is_asked=False, second_of="1", own_score=0.97 * limit, shown_from=0.95 * limit)
+    measured = Deviations(meter).draw_again(replace(press, again=again), opened)
+    assert measured.measure is not None
+    measured.measure()
+
+    (_, defects, _, _), _ = meter.measure.call_args
+    assert [one.box_px for one in defects] == [(50, 40, 4, 4)]
 
 
 def test_a_damaged_calibration_is_a_sentence_at_check(tmp_path: Path, recording: Path, bundle: Path) -> None:
