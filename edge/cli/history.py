@@ -106,13 +106,14 @@ def _check_groups(by: str | None, *, is_for_people: bool) -> None:
 
 
 def moment_ns(text: str, now_ns: int) -> int:
-    """The wall-clock nanoseconds that a person means. Errors: ConfigError."""
+    """The wall-clock nanoseconds that a person means, within 64 bits. Errors: ConfigError."""
     if age := re.fullmatch(r"(\d{1,6})([smhd])", text):
         return now_ns - int(age[1]) * {"s": 1, "m": 60, "h": 3600, "d": 86400}[age[2]] * 10**9
     try:
-        return round(datetime.datetime.fromisoformat(text).timestamp() * 1e6) * 1000
+        meant_ns = round(datetime.datetime.fromisoformat(text).timestamp() * 1e6) * 1000
     except (ValueError, OverflowError):
         raise ConfigError(f"'{text}' is no moment; give {_MOMENT}") from None
+    return max(-(2**63), min(meant_ns, 2**63 - 1))
 
 
 def _verdicts(given: list[str]) -> tuple[str, ...]:

@@ -226,7 +226,7 @@ def find_press(database: Path, prefix: str) -> KnownPress:
 
 def presses_since(database: Path, since_ns: int | None = None) -> Iterator[KnownPress]:
     """Every press from this moment on, oldest first. Errors: ArchiveError, StoreError."""
-    return _presses(database, "time_ns >= ?", (min(since_ns or 0, 2**63 - 1),), -1)
+    return _presses(database, "time_ns >= ?", (since_ns or 0,), -1)
 
 
 def _presses(database: Path, condition: str, values: tuple[object, ...], limit: int) -> Iterator[KnownPress]:

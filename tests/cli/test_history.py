@@ -110,10 +110,12 @@ def test_acts_are_read_from_the_same_file(database: Path) -> None:
         ("2026-05-28T20:26:40Z", T0),
         ("2h", T0 - 2 * HOUR_NS),
         ("1d", T0 - 24 * HOUR_NS),
+        ("9999-12-31", 2**63 - 1),
+        ("1600-01-01", -(2**63)),
     ],
 )
 def test_a_moment_is_a_date_a_time_or_an_age(text: str, expected: int) -> None:
-    """Local where no zone is named, as times are printed."""
+    """Local where no zone is named, as times are printed; one that no press can have is the first or last of all."""
     assert moment_ns(text, T0) == expected
 
 
