@@ -43,7 +43,7 @@ def watch(
     """Print verdicts as they arrive, each press once.
 
     It ends with exit code 1 if --count is not reached in --timeout seconds, and with --validate if a message is not as
-    its station describes it."""
+    its station describes it, or could not be checked."""
     if validate:
         needs("validate", "--validate")
     broker = broker_at(host, port, "watch", username, password_file, ca)

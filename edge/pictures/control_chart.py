@@ -60,7 +60,8 @@ def _strip(chart: Chart, top: int) -> str:
 
 def _kind(chart: Chart, number: int) -> str:
     """Name the kind of a value: out, said or point. Values of which the limits are made are points."""
-    if chart.limits is None or number < chart.learn:
+    made = [one for one in chart.presses if one.is_as_expected][: chart.learn]
+    if chart.limits is None or chart.presses[number] in made:
         return "point"
     said = signals(chart.values[: number + 1], chart.limits)
     if Signal.BEYOND_LIMIT in said:

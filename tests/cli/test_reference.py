@@ -14,8 +14,9 @@ from station import station_config
 
 from edge.cli.reference import request_press
 from edge.core.errors import GelgateError
-from edge.core.reference_press.charts import ReferencePress
+from edge.core.reference_press.charts import ReferencePress, charts
 from edge.core.reference_press.outcome import Imprint
+from edge.pictures.control_chart import control_charts_svg
 from edge.store.acts import Act
 from edge.store.press_store import PressRecord, Store
 from edge.store.reference_presses import PieceKey, ReferenceRequest, ReferenceTable, take
@@ -80,6 +81,20 @@ def test_charts_are_written_as_json_csv_and_svg(database: Path, tmp_path: Path) 
     chart(database, "-o", tmp_path / "reference.svg")
     classes = [one.get("class") for one in ElementTree.parse(tmp_path / "reference.svg").iter()]
     assert [classes.count(name) for name in ("out", "line", "limit")] == [1, 5, 10]
+
+
+def test_a_point_is_red_by_the_limits_that_other_presses_made() -> None:
+    """A first press that gave the wrong verdict made no limits, so it is compared with them; the last of those that
+    made them is not."""
+    scores = (0.9, *(0.4 + 0.01 * off for off in WOBBLE))
+    presses = [
+        ReferencePress(str(n), n, "g", "b", "pass", "fail" if n == 0 else "pass", score, 0.5)
+        for n, score in enumerate(scores)
+    ]
+    drawn = control_charts_svg(charts(presses, 5), "M1")
+
+    points = [one.get("class") for one in ElementTree.fromstring(drawn).iter() if one.tag.endswith("circle")]
+    assert points == ["out", *["point"] * 5]
 
 
 def test_a_choice_without_a_press_says_what_there_is(database: Path, tmp_path: Path) -> None:
