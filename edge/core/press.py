@@ -22,6 +22,7 @@ from edge.core.registration.pose import Registered
 from edge.core.verdict import Blame, Kind, Verdict
 
 __all__ = [
+    "AGREED",
     "Again",
     "JudgedFrame",
     "Press",
@@ -31,6 +32,10 @@ __all__ = [
     "ShadowVerdict",
     "StudyLabel",
 ]
+
+AGREED: Final = 0.95
+"""The share of the threshold that both presses of a damaged piece show at its place. Of 0.9, 0.95 and 1, in
+simulated months of development parts."""
 
 # Rounding of a score that is the highest value of its map.
 _SAME: Final = 1e-4

@@ -30,10 +30,10 @@ from typing import Final
 import numpy as np
 
 from edge.core.arrays import F32, F64, Mask
+from edge.core.press import AGREED
 from edge.core.verdict import Kind, Verdict
 
 __all__ = [
-    "AGREED",
     "Costs",
     "KnownScores",
     "Plan",
@@ -44,10 +44,6 @@ __all__ = [
     "second_verdict",
     "unsure",
 ]
-
-AGREED: Final = 0.95
-"""The share of the threshold that both presses of a damaged piece show at its place. Of 0.9, 0.95 and 1, in
-simulated months of development parts."""
 
 # The highest share of the nominal scores gives the tail's scale, from at least this number of them.
 _TAIL_SHARE: Final = 0.25

@@ -10,9 +10,8 @@ import numpy as np
 
 from edge.core.contact.events import PressSettled
 from edge.core.ports import Clock
-from edge.core.press import Again, Press
+from edge.core.press import AGREED, Again, Press
 from edge.core.press_again import (
-    AGREED,
     Costs,
     Plan,
     SeenScores,

@@ -17,8 +17,7 @@ from edge.core.imaging.decode import decode
 from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock, Message
-from edge.core.press import Again, JudgedFrame, Press, ScarFindings
-from edge.core.press_again import AGREED
+from edge.core.press import AGREED, Again, JudgedFrame, Press, ScarFindings
 from edge.core.sink_context import Place
 from edge.core.verdict import Blame, Cause, Kind, Verdict
 from edge.gateway.pictures import PressDrawing

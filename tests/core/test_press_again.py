@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from calibration.fitting.limits.threshold import conformal_threshold
 from edge.core.imaging.quality import Reason, Rejection
+from edge.core.press import AGREED
 from edge.core.press_again import (
-    AGREED,
     Costs,
     KnownScores,
     Plan,
