@@ -38,6 +38,9 @@ _RIM: Final = 0.25
 _SIZE: Final = (0.25, 2.2)
 # The largest dot of the learnt presses times this is the largest of any press.
 _LARGEST: Final = 1.2
+# A learnt press hardly shows a dot that is smaller than this. At a steep edge of a real finger dots shrink to 0.27, and
+# each of the next eight frames misses one; those of sound presses without such an edge are 0.75 and larger.
+_HARDLY: Final = 0.5
 # How far from where its neighbours are shifted to a dot is looked for, in distances between dots. Dots that moved by
 # more than half of that distance are reached from round to round, over neighbours that moved less.
 _REACH, _ROUNDS = 0.3, 6
@@ -56,7 +59,7 @@ class MarkerDots:
     """Share of the light by which a pixel of a dot is darker than the brightest around it."""
     largest: float | None = None
     """Area of the largest dot of a press, in discs of that width: a larger dark blob is none, and a dot that is not
-    seen is drawn dark. None where learnt presses miss dots, or it was not learnt: neither is done."""
+    seen is drawn dark. None where learnt presses miss dots or nearly do, or it was not learnt: neither is done."""
 
     def __post_init__(self) -> None:
         if self.places.ndim != 2 or self.places.shape[1] != 2 or not len(self.places):
@@ -95,15 +98,15 @@ class MarkerDots:
         return np.where(absent[..., None] > 0, dark, filled)
 
     def learn(self, presses: Sequence[U8]) -> "MarkerDots":
-        """Learn from sound presses, uint8 (h, w, 3) each, how large a dot looks, and whether each shows all."""
+        """Learn from sound presses, uint8 (h, w, 3) each, how large a dot looks, and whether each shows all well."""
         largest = 0.0
         for rgb in presses:
             blobs = self._blobs(rgb)
             _, seen, centres = self._match(blobs.centres)
-            if len(self._missing(centres, rgb.shape[:2])):
+            shares = (blobs.areas / _disc(self.width_px))[seen][~blobs.is_cut[seen]]
+            if len(self._missing(centres, rgb.shape[:2])) or shares.min(initial=1) < _HARDLY:
                 return replace(self, largest=None)
-            shares = blobs.areas[seen] / _disc(self.width_px)
-            largest = max(largest, float(shares[~blobs.is_cut[seen]].max(initial=0)))
+            largest = max(largest, float(shares.max(initial=0)))
         return replace(self, largest=min(_SIZE[1], round(_LARGEST * largest, 3)) or None)
 
     def find(self, rgb: U8) -> Mask:

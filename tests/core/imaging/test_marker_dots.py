@@ -143,9 +143,16 @@ def test_what_hides_a_dot_and_is_larger_stays() -> None:
 GONE = int(np.abs(PLACES - 112).sum(axis=1).argmin())
 
 
-@pytest.mark.parametrize("learnt", [[], [dotted(LIGHT, np.delete(PLACES, GONE + 1, axis=0))]])
+FEWER = dotted(LIGHT, np.delete(PLACES, GONE + 1, axis=0))
+
+
+@pytest.mark.parametrize(
+    "learnt",
+    [[], [FEWER], [dotted(FEWER, PLACES[[GONE + 1]], 0.6 * WIDTH_PX)]],
+    ids=["nothing learnt", "missed", "nearly missed"],
+)
 def test_a_dot_that_is_not_seen_is_missed_by_none(learnt: list[U8]) -> None:
-    """Where nothing is learnt of presses, or learnt presses miss dots too, nothing is drawn."""
+    """Where nothing is learnt of presses, or learnt presses miss dots too, or hardly show one, nothing is drawn."""
     press = dotted(LIGHT, np.delete(PLACES, GONE, axis=0))
     filled = known().learn(learnt).fill(press)
     x, y = np.rint(PLACES[GONE]).astype(int)
