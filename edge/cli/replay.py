@@ -175,7 +175,7 @@ def _write_picture(made_again: Replayed, inspector: Inspector, path: Path) -> No
     then = made_again.then
     press = replace(made_again.now, press_id=then.press_id, time_ns=then.time_ns)
     draw = press_drawing(
-        press, inspector.bundle, then.station, "jpeg" if path.suffix in (".jpg", ".jpeg") else "png"
+        press, inspector.bundle, then.station, "jpeg" if path.suffix.lower() in (".jpg", ".jpeg") else "png"
     )
     if draw is None:
         typer.echo(f"{then.press_id}  has no score, so no picture", err=True)

@@ -89,13 +89,14 @@ def test_what_a_verdict_was_made_from_is_kept(made: Played, recording: Path) -> 
 def test_every_verdict_is_made_again_bit_for_bit(made: Played, tmp_path: Path) -> None:
     """Verdict, score and score map are equal, not close; each picture is the one that was published."""
     done = made.replay("--all", "--picture", str(tmp_path / "all"))
-    one = made.replay(made.ids[1][:-1].lower(), "--json")
+    one = made.replay(made.ids[1][:-1].lower(), "--json", "--picture", str(tmp_path / "one.JPG"))
     found = json.loads(one.out)
 
     assert (done.code, one.code) == (0, 0), done.err
     assert done.out.count("equal, bit for bit") == 3
     assert [made.replay(number).out[:26] for number in "123"] == made.ids
     assert "3 presses: 3 equal, 0 differ, 0 not made again; 0 others were never archived" in done.out
+    assert (tmp_path / "one.JPG").read_bytes().startswith(b"\xff\xd8")
     pictures = {path.stem: path.read_bytes() for path in (tmp_path / "all").iterdir()}
     assert pictures == made.pictures
     assert (found["is_equal"], found["verdict_then"], found["verdict"]) == (True, "fail", "fail")
