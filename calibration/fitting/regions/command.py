@@ -80,6 +80,11 @@ def regions(given: RegionsArguments) -> None:
             f"a change in an ignored place hides faint damage within {3 * WINDOW_MM:g} mm of it, for a press is "
             "compared with its surroundings (docs/limits.md)"
         )
+    if said and new.registration is not None and not new.registration.open().is_unique:
+        typer.echo(
+            "the part looks nearly the same at another place or turn: a press half a pitch off has its regions a pitch "
+            "further on (docs/limits.md)"
+        )
     typer.echo(f"false alarms: {promise(manifest.threshold)}")
     typer.echo(f"revision {manifest.revision} written to {given.output}")
 

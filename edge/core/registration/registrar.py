@@ -189,7 +189,7 @@ class Registrar:
         self._away = depth_of(part.learnt)
         to_end = self._shown if part.scores_relief_to_end else np.zeros_like(self._shown)
         least_inside = max(_LEAST_INSIDE, 2 * part.least_seen - 1)  # half a pitch off, either way
-        self._is_unique = part.symmetry == 1 and not self._search.repeats(part.least_match, least_inside)
+        self.is_unique = part.symmetry == 1 and not self._search.repeats(part.least_match, least_inside)
         self._least_depth = np.where(to_end, np.float32(1), np.float32(_fade_px(part.learnt.shape)))
 
     def register(self, rgb: U8) -> Registered:
@@ -217,7 +217,7 @@ class Registrar:
             self.part.symmetry,
             self._refusal(alignment.match, seen_share),
             None if (limits := self.part.gel_limits) is None else gel_limits_in_pose(limits, pose),
-            self._is_unique,
+            self.is_unique,
         )
 
     def _find(self, slopes: F32) -> Alignment:

@@ -12,7 +12,7 @@ import onnx.parser
 import pytest
 import tiny
 import turned_parts as parts
-from command_line import Outcome, gelgate
+from command_line import Outcome, gelgate, ran
 from confirmed_station import Judged
 from graph_session import open_graph
 from registered_bundle import registered
@@ -384,9 +384,15 @@ def test_a_part_that_looks_the_same_in_several_turns_is_refused(tmp_path: Path) 
         (path / "manifest.json").write_text(json.dumps(content))
         return draw_regions(path, [DrawnRegion("logo", "ignore", ((1, 1), (2, 1), (2, 2)))], None, 1)
 
+    def say(name: str) -> str:
+        drawn = ("--add", "ignore logo 1,1 2,1 2,2", "-o", tmp_path / name)
+        return ran("bundle", "regions", path, *drawn)
+
+    assert "half a pitch off" not in say("unique")
     with pytest.raises(FitError, match="its part looks the same 4 times in a full turn"):
         draw(symmetry=4)
     assert draw(is_held=True)
+    assert "a press half a pitch off has its regions a pitch further on" in say("regular")
 
 
 def in_bank(bundle: Bundle, pose: Pose, points: list[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
