@@ -94,8 +94,9 @@ class MarkerDots:
         absent = np.zeros(hidden.shape, np.uint8)
         for x, y in self._missing(centres, rgb.shape[:2]):
             cv2.circle(absent, (round(x), round(y)), round(self.width_px / 2), 1, cv2.FILLED)
-        dark = np.rint(filled * max(0.0, 1 - 2 * self.darker)).astype(np.uint8)
-        return np.where(absent[..., None] > 0, dark, filled)
+        dark = filled[absent > 0] * max(0.0, 1 - 2 * self.darker)
+        filled[absent > 0] = np.rint(dark)
+        return filled
 
     def learn(self, presses: Sequence[U8]) -> "MarkerDots":
         """Learn from sound presses, uint8 (h, w, 3) each, how large a dot looks, and whether each shows all well."""
