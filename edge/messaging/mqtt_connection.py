@@ -132,7 +132,6 @@ class Connection:
         self._is_established = False
         self._answers: dict[int, ReasonCode | None] = {}
         self._unasked = set[int]()  # ids of messages whose answer nobody waits for; ids come again
-        self._unheard = set[object]()
         self._client = self._make_client(will)
         self._establish()
 
@@ -144,11 +143,6 @@ class Connection:
     @property
     def is_up(self) -> bool:
         return self._is_established and not self._is_lost
-
-    @property
-    def is_unheard(self) -> bool:
-        """True while a message was sent, and the broker has not acknowledged it."""
-        return bool(self._unheard)
 
     def publish(self, message: Message) -> None:
         """Send and wait for the acknowledgement; QoS 0 waits until it is written.
@@ -164,18 +158,13 @@ class Connection:
             )
         if not self.is_up:
             raise SinkUnavailable(self._lost_sentence())
-        sent = object()
-        self._unheard.add(sent)
         try:
             info = self._client.publish(
                 message.topic, message.payload, message.qos, message.retain, self._properties(message)
             )
         except ValueError as error:
-            self._unheard.discard(sent)
             raise SinkRejected(f"a message on {message.topic!r} cannot be sent: {error}") from error
-        reason = self._answer(info.mid, f"the message on {message.topic}")
-        self._unheard.discard(sent)
-        self._check(message, reason)
+        self._check(message, self._answer(info.mid, f"the message on {message.topic}"))
 
     def publish_soon(self, message: Message) -> None:
         """Send at QoS 0 without waiting; lost when the connection is. Only this may be used in `on_received`."""

@@ -49,6 +49,8 @@ AGAIN_LAST_S: Final = 600.0
 SHORT_S: Final = 5.0
 SHORT_ONES: Final = 3
 
+_UNTOLD: Final = "closed here, and the broker was not told the end"
+
 
 class MqttSink:
     """Messages of one station to one broker. Any thread may send; messages of one thread keep their order."""
@@ -132,7 +134,7 @@ class MqttSink:
         if offline is not None and message.topic == offline.topic:
             self._is_offline_sent, self._is_end_sent = message == offline, False
         elif will is not None and message.topic == will.topic:
-            self._is_end_sent = self._is_offline_sent
+            self._is_end_sent = self._is_offline_sent or offline is None
         try:
             with self._publishing:
                 connection.publish(self._outgoing(message))
@@ -144,21 +146,20 @@ class MqttSink:
         self._refused.pop(message.topic, None)
 
     def close(self) -> None:
-        """Disconnect from the broker, so that it does not publish the will; harmless when repeated.
+        """Disconnect from the broker; harmless when repeated.
 
-        One that hangs is not told that the station ends: it publishes the wills when it goes on.
+        One that was not told that the station ends, because it hangs or its birth is not over, publishes the wills.
         """
         self._closing.set()
-        connection = self._connection
-        if connection is not None and connection.is_unheard and not self._is_end_sent:
-            connection.abandon("closed here, and the broker does not answer")
-            self._availability.abandon()
+        connection, is_told = self._connection, self._is_end_sent or self._station.will is None
+        if connection is not None and not is_told:
+            connection.abandon(_UNTOLD)
         elif connection is not None:
             connection.close()
         self._requests.close()
         for thread in filter(threading.Thread.is_alive, self._threads):
             thread.join(self._broker.timeout_s)
-        self._availability.close()
+        (self._availability.close if is_told else self._availability.abandon)()
 
     def step(self) -> float | None:
         """Do one turn of the connecting thread: try to connect where there is no connection.
@@ -188,7 +189,7 @@ class MqttSink:
         log.info("connected to broker %s, MQTT %s", self._broker, connection.level)
         self._tried.set()
         if self._closing.is_set():
-            connection.close()
+            connection.abandon(_UNTOLD)
         return None
 
     def look_again(self) -> None:

@@ -1,13 +1,12 @@
 """The plain topic `availability`: what a dashboard reads of a station that comes, goes and disappears."""
 
-import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 
 import pytest
 from scripted_broker import ScriptedBroker
-from waiting import wait_until
 
 from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
@@ -93,17 +92,25 @@ def test_a_second_connection_that_is_lost_alone_is_opened_again(
     assert stepped_sink._connection is first
 
 
-def test_a_station_that_ends_leaves_no_will(mosquitto: LocalBroker, sink_to: SinkTo, listen: Listen) -> None:
-    """Both connections say goodbye: what the station has said last stays."""
-    listener = listen(mosquitto)
-    sink = sink_to(mosquitto, station=STATION)
+@pytest.mark.parametrize("is_told", [True, False])
+def test_a_station_that_ends_is_offline(
+    mosquitto: LocalBroker, sink_to: SinkTo, listen: Listen, is_told: bool
+) -> None:
+    """What it has said last stays, and no will comes; where its end was not said, the broker says the wills."""
+    listener, lost = listen(mosquitto), Message("state", b"lost", 1, retain=True)
+    sink = sink_to(mosquitto, station=replace(STATION, will=lost))
     listener.wait_for(says(b"online"))
+    if is_told:
+        sink.send(availability_message(is_online=False))
+        sink.send(Message("state", b"stopped", 1, retain=True))
 
     sink.close()
     listener.ask("marker", b"")  # comes after anything that the broker would have published
 
     listener.wait_for(lambda heard: heard.payloads("cmd/marker") != [])
-    assert listener.payloads("availability") == [b"online"]
+    listener.wait_for(says(b"online", b"offline"))
+    assert listener.payloads("availability") == [b"online", b"offline"]
+    assert listener.payloads("state") == [b"stopped" if is_told else b"lost"]
     assert not sink._availability.is_held
 
 
@@ -149,24 +156,3 @@ def test_a_second_connection_that_never_lasts_is_given_up(
 
     listener.wait_for(says(b"", b"online"))
     assert list(stepped_sink.faults) == []
-
-
-def test_a_message_without_an_answer_is_known_while_another_is_answered() -> None:
-    """A station that ends then sends no DISCONNECT, which would make the broker discard the wills."""
-    with ScriptedBroker(topics={"slow": "silent"}) as broker:
-        connection = Connection.open(
-            Broker("127.0.0.1", broker.port, "press2", level="5", timeout_s=PATIENCE_S)
-        )
-
-        def publish_slowly() -> None:
-            with suppress(SinkUnavailable):  # the connection is closed meanwhile
-                connection.publish(Message("slow", b"", 1))
-
-        waiting = threading.Thread(target=publish_slowly)
-        waiting.start()
-        wait_until(lambda: connection.is_unheard)
-        connection.publish(Message("answer", b"", 1))
-        assert connection.is_unheard
-        connection.abandon("the test ends")
-        waiting.join(PATIENCE_S)
-        assert not waiting.is_alive()

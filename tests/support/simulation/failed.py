@@ -84,6 +84,25 @@ FAILED = (
         ),
         says="broker# retains `online`, and holds no will",
     ),
+    # The station ended before its birth was over, and the broker then held no will, as if it had been told the end.
+    Failure(
+        seed=57,
+        presses=3,
+        chosen=Chosen(
+            brokers=2,
+            has_archive=True,
+            rates={},
+            sloth_s=0.0,
+            fps=18.75,
+            level="silent at 5",
+            piece="free",
+        ),
+        schedule=(
+            Fault(at_s=2.445576, name="hang up", seed=4207984392),
+            Fault(at_s=8.707099, name="lose database", seed=3895884278),
+        ),
+        says="broker# retains `online`, and holds no will",
+    ),
     # A broker hung for five seconds, and what had waited behind the message of then did not say that it was late.
     Failure(
         seed=1003,
