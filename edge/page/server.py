@@ -32,8 +32,8 @@ from edge.page.shown import Shown
 
 __all__ = ["LANGUAGES", "PageServer"]
 
-# A browser that waits for news is answered after this time without any.
-NEWS_S: Final = 15.0
+# A browser that waits for news is answered after this time without any; without an answer it says so 3 s later.
+NEWS_S: Final = 5.0
 
 _FILES = {
     "/": ("page.html", "text/html; charset=utf-8"),

@@ -269,14 +269,17 @@ def test_alarms_and_verdicts_are_announced(tab: Any, sink: PageSink) -> None:
 
 
 def test_a_pass_is_shown_only_while_the_station_inspects(tab: Any, sink: PageSink) -> None:
-    """As the lights do, which have forgotten it when the station inspects again; a fail stays."""
-    for message in (state("ready"), *press(1)):
+    """As the lights do, which have forgotten all of it when the station inspects again; a fail stays."""
+    for message in (state("ready"), *press(1, picture=PICTURE)):
         sink.send(message)
     tab.wait_for_selector("#verdict.pass")
+    tab.wait_for_selector("#picture", state="visible")
     for now, verdict in (("halted", "halted"), ("ready", "no press yet"), ("starting", "no press yet")):
         sink.send(state(now))
         wait_until(tab, f"document.getElementById('verdict').textContent === '{verdict}'")
         assert tab.locator("#verdict.pass").count() == 0
+    assert tab.inner_text("#facts") + tab.inner_text("#why") == ""
+    assert tab.locator("#picture").is_hidden()
     for message in press(2, verdict=Kind.FAIL, score=2.5, score_ratio=2.5):
         sink.send(message)
     tab.wait_for_selector("#verdict.fail")
@@ -292,6 +295,24 @@ def test_a_gateway_that_is_gone_is_seen(browser: Any, sink: PageSink) -> None:
     assert one.inner_text("#state") == "the gateway does not answer"
     assert one.evaluate("getComputedStyle(document.querySelector('main')).opacity") == "0.35"
     one.close()
+
+
+def test_a_gateway_that_is_silent_is_seen(tab: Any, sink: PageSink) -> None:
+    """As one whose cable is pulled: no request ends, and nothing is refused. Later it answers again."""
+    for message in (state("ready"), *press(1)):
+        sink.send(message)
+    tab.wait_for_selector("#verdict.pass")
+    tab.route("**/live.json*", lambda route: None)
+    tab.clock.install()
+    with tab.expect_request("**/live.json*"):
+        sink.send(stats(mqtt="up"))
+    tab.clock.fast_forward(9_000)
+
+    tab.wait_for_selector("body.gone #state.lost")
+
+    tab.unroute("**/live.json*")
+    tab.clock.fast_forward(2_000)
+    tab.wait_for_selector("body:not(.gone) #verdict.pass")
 
 
 # What Chromium itself writes about an answer of status 401.

@@ -1,6 +1,7 @@
 "use strict";
 // Everything is set as text, never as HTML: a part's name is what a person has typed.
-const AGAIN_MS = 1000, FRESH_MS = 300, LOCK_AFTER_MS = 5 * 60 * 1000;
+// The gateway answers within 5 s, also without news.
+const AGAIN_MS = 1000, SILENT_MS = 8000, FRESH_MS = 300, LOCK_AFTER_MS = 5 * 60 * 1000;
 const at = (id) => document.getElementById(id);
 const word = (press) => press.verdict || "error";
 // The text in the language of the page, by the English one; values stand in braces.
@@ -384,7 +385,11 @@ function showPresses(presses, piece, state) {
   at("verdict").className = /^(pass|fail|error|unsure|rejected)$/.test(said) ? said : "none";
   put("verdict", t(said));
   at("verdict").style.setProperty("--letters", at("verdict").textContent.length);
-  if (!last) { return; }
+  if (!last) {
+    for (const id of ["facts", "why", "cause"]) { put(id, ""); }
+    at("frame").hidden = true;
+    return;
+  }
   put("facts", [named(last), ratio(last) && t("{ratio} × threshold", { ratio: ratio(last) }), clock(last)].filter(Boolean).join(" · "));
   const [, code, why] = /^(?:([a-z_]+): )?(.*)$/s.exec(last.reason || last.error || (last.press_again || {}).reason || "");
   put("why", [[code && t(code), tell(why)].filter(Boolean).join(": "), last.cause && t("cause: {cause}", { cause: t(last.cause) }), last.is_at_rest === false && t("lifted before it rested"), last.blind_area_mm2 > 0 && t("{mm2} mm2 under a mark of the gel are not judged: wipe it", { mm2: last.blind_area_mm2.toPrecision(2) })].filter(Boolean).join(" · "));
@@ -519,9 +524,11 @@ at("what-form").onsubmit = (event) => {
       !data.is_archived && t("It is not archived, so nothing can be learnt from it.")].filter(Boolean).join(" "));
 };
 
+// A cable that is pulled ends no request: without a limit the last verdict would stay as if it were of now.
 async function look() {
+  const limit = new AbortController(), silence = setTimeout(() => limit.abort(), SILENT_MS);
   try {
-    const answer = await fetch(shown === null ? "live.json" : `live.json?after=${shown.version}`);
+    const answer = await fetch(shown === null ? "live.json" : `live.json?after=${shown.version}`, { signal: limit.signal });
     if (!answer.ok) { throw new Error(await answer.text()); }
     shown = await answer.json();
     document.body.className = shown.away || ["lost", "stopped"].includes((shown.state || {}).state) ? "gone" : "";
@@ -533,6 +540,8 @@ async function look() {
     document.body.className = "gone";
     shown = shown && { ...shown, version: -1 };
     setTimeout(look, AGAIN_MS);
+  } finally {
+    clearTimeout(silence);
   }
 }
 
