@@ -49,6 +49,11 @@ LEAST_PRESSES = 6
 
 _HELD_OUT = 3
 
+_NEARLY = 0.05
+"""By so much two figures of a proof differ by chance, of some 14 sound presses. Then presses whose places are compared
+are registered: of a part that a hand laid 0.5 mm off, 0.844 were separated registered and 0.855 as they lay, and of 21
+further sound presses 0 and 3 failed."""
+
 # The sizes of damage by which it is proven, the largest last.
 _PROOF_SIZES = SIZE_SHARES[1:]
 
@@ -199,7 +204,7 @@ def choose_pose(
 def _compare_poses(
     choice: PoseChoice, presses: NominalPresses, learner: Learner, take: Take, view: View
 ) -> PoseChoice:
-    """Register presses only where that separates more of the damage. choice: what is compared, and how far they lie."""
+    """Register presses where that separates more of the damage, or nearly as much. choice: and how far they lie."""
     learnt, apart = choice.learnt, choice.why
     proof = None if learnt is None else _Proof.of(presses, learnt, learner, take, view)
     if proof is None:
@@ -207,8 +212,9 @@ def _compare_poses(
         return PoseChoice(None, why, faults=choice.faults)
     (registered, large), (still, large_still) = proof.judge_registered(), proof.judge_still()
     both = f"{_words(registered)}, {still:.3f} without"
-    if registered > still:
-        why = f"presses are registered: {apart}; {both} (image AUROC, out of fold)"
+    if registered > still - _NEARLY * learner.detector.compares_places:
+        further = "" if registered > still else ", which is nearly as much, and the next may lie further away"
+        why = f"presses are registered: {apart}; {both} (image AUROC, out of fold){further}"
         return replace(choice, why=why, separated=large)
     why = f"presses are compared as they lie: {apart}, but {both}"
     return PoseChoice(None, why, large_still, faults=choice.faults)

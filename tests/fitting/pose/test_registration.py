@@ -4,6 +4,8 @@ import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,17 +13,19 @@ import pytest
 import tiny
 import turned_parts as parts
 from command_line import refuse_by_example
-from registered_bundle import fitted, nominal, registered
+from registered_bundle import PROFILE, PlaceDetector, fitted, nominal, registered
 
 from calibration.fitting.damage.damaged_presses import DamagedPresses
 from calibration.fitting.limits.appended import append
 from calibration.fitting.limits.held_out import HeldOut, ScoredPresses
-from calibration.fitting.pose.pose_decision import PoseChoice
+from calibration.fitting.pose import pose_decision
+from calibration.fitting.pose.pose_decision import PoseChoice, choose_pose
 from calibration.fitting.pose.registration import LearntPose, in_pose_of, learn_pose
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.contact.mask import Touch
 from edge.core.detector import Bank, Features, Nominal
 from edge.core.errors import BundleCorrupt, FitError, PoseNotFound
+from edge.core.imaging.region import Region
 from edge.core.registration.pose import Pose, warp
 from edge.core.registration.registrar import Registrar
 from edge.model.bundle import Bundle, Graphs
@@ -78,6 +82,29 @@ def test_parts_too_far_apart_to_lie_as_they_are_need_no_second_bank() -> None:
     proven = prove(0.5, 2.0, 3.0)
     assert (proven.separated, proven.is_open) == (1.0, False)
     assert proven.learnt is open_choice.learnt
+
+
+@pytest.mark.parametrize(
+    ("detector", "separated", "is_registered"),
+    [
+        (PlaceDetector(), 0.844, True),
+        (PlaceDetector(), 0.741, False),
+        (tiny.TinyDetector(), 0.844, False),
+        (tiny.TinyDetector(), 0.9, True),
+    ],
+)
+def test_a_proof_that_decides_nothing_is_for_registration_where_places_are_compared(
+    monkeypatch: pytest.MonkeyPatch, detector: tiny.TinyDetector, separated: float, is_registered: bool
+) -> None:
+    """With 14 sound presses 0.01 is chance, and the next press may lie further away."""
+    figures = SimpleNamespace(judge_registered=lambda: (separated, 1.0), judge_still=lambda: (0.855, 1.0))
+    monkeypatch.setattr(pose_decision._Proof, "of", lambda *_: figures)
+    learner: Any = SimpleNamespace(detector=detector)
+    presses = nominal(parts.anywhere(parts.BLOCK, 9)[1])
+    choice = choose_pose("auto", presses, learner, take, (PROFILE, Region(0, 0, parts.SIDE, parts.SIDE)))
+
+    assert (choice.learnt is not None) == is_registered, choice.why
+    assert f"{separated:.3f} is separated from sound presses with it, 0.855 without" in choice.why
 
 
 def test_many_presses_are_found_by_the_mean_of_some(monkeypatch: pytest.MonkeyPatch) -> None:
