@@ -25,7 +25,7 @@ from edge.core.suggest import suggestion
 from edge.core.verdict import Cause
 from edge.extras import needs
 from edge.messaging.deviation_payload import DeviationPlace
-from edge.store.history import MEASURED, HistoryQuery, HistoryRow, read_history, write_history
+from edge.store.history import MEASURED, HistoryQuery, HistoryRow, count_verdicts, read_history, write_history
 from edge.store.press_store import VERDICTS
 
 __all__ = ["history", "moment_ns"]
@@ -68,8 +68,9 @@ def history(
 ) -> None:
     """Show which presses were made.
 
-    Oldest first, with a line of totals. The gateway may run meanwhile. Each press is one row: number, id, time,
-    sensor, gel, part, position, verdict, score, threshold, cause: part or gel, and what a person said of it."""
+    Oldest first, with the totals of all that fit. The gateway may run meanwhile. Each press is one row: number, time,
+    part, position, verdict, cause: part or gel, score, threshold, gel, and what a person said of it. With --json and
+    --output it has its id and sensor too."""
     _check_groups(by, is_for_people=not as_json and output is None)
     if output is not None and output.suffix.lower() == ".parquet":
         needs("parquet", f"writing {output}")
@@ -84,15 +85,18 @@ def history(
         _verdicts(verdict or []),
         count if output or count or by else PRINTED,
     )
-    rows = read_history(database_path(config, database), query)
+    path = database_path(config, database)
+    rows = read_history(path, query)
     if by == "shadow":
         _print_shadows(rows)
     elif by is not None:
         _print_agreement(rows, _GROUPS[by], _shifts(config) if by == "shift" else ())
     elif output is not None:
         typer.echo(f"{write_count(write_history(output, rows), 'press')} in {output}")
+    elif as_json:
+        _print_json(rows)
     else:
-        _print(rows, as_json=as_json)
+        _print(rows, count_verdicts(path, query) if count is None else None)
 
 
 def _check_groups(by: str | None, *, is_for_people: bool) -> None:
@@ -179,14 +183,21 @@ def _print_shadows(rows: Iterable[HistoryRow]) -> None:
         typer.echo("no press that fits was judged by a shadow")
 
 
-def _print(rows: Iterable[HistoryRow], *, as_json: bool) -> None:
-    totals: Counter[str] = Counter()
+def _print_json(rows: Iterable[HistoryRow]) -> None:
     for row in rows:
-        typer.echo(json.dumps(asdict(row)) if as_json else _line(row))
-        totals[row.verdict] += 1
-    words = ", ".join(f"{n} {verdict}" for verdict, n in sorted(totals.items()))
-    if not as_json:
-        typer.echo(f"{write_count(totals.total(), 'press')}: {words}" if totals else "no press fits")
+        typer.echo(json.dumps(asdict(row)))
+
+
+def _print(rows: Iterable[HistoryRow], totals: Mapping[str, int] | None) -> None:
+    """Print a line for each press, and one of totals. totals: of all that fit; None counts the printed ones."""
+    printed: Counter[str] = Counter()
+    for row in rows:
+        typer.echo(_line(row))
+        printed[row.verdict] += 1
+    counted = Counter(printed if totals is None else totals)
+    words = ", ".join(f"{n} {verdict}" for verdict, n in sorted(counted.items()))
+    more = f"; the newest {printed.total()} are listed" if counted.total() > printed.total() else ""
+    typer.echo(f"{write_count(counted.total(), 'press')}: {words}{more}" if counted else "no press fits")
 
 
 def _line(row: HistoryRow) -> str:

@@ -24,6 +24,7 @@ __all__ = [
     "HistoryQuery",
     "HistoryRow",
     "KnownPress",
+    "count_verdicts",
     "find_press",
     "presses_since",
     "read_history",
@@ -130,6 +131,14 @@ def read_history(path: Path, query: HistoryQuery) -> Iterator[HistoryRow]:
             people = (settled.saying, settled.kind, settled.person) if settled else (None, None, None)
             stored.update(zip(_OF_PEOPLE, people, strict=True))
             yield HistoryRow(**stored)
+
+
+def count_verdicts(path: Path, query: HistoryQuery) -> Mapping[str, int]:
+    """How many of the presses that fit have each verdict; all of them, whatever `newest` says. Errors: StoreError."""
+    condition, values = query.where()
+    with open_read_only(path, "reading the history") as connection:
+        counted = f"SELECT verdict, COUNT(*) FROM presses WHERE {condition} GROUP BY verdict ORDER BY verdict"
+        return dict(connection.execute(counted, values).fetchall())
 
 
 # Rows of one row group of a Parquet file; all of them are in memory at once.

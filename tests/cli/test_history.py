@@ -32,14 +32,18 @@ def database(tmp_path: Path) -> Path:
 
 @pytest.mark.usefixtures("tokyo")
 def test_the_newest_presses_are_printed_with_their_totals(database: Path) -> None:
-    """Twenty, oldest first, at local times with their offset, and a last line that counts them."""
+    """Twenty, oldest first, at local times with their offset, and a last line that counts all that fit: a fail among
+    the earlier ones is not hidden. With --count it counts those."""
     done = gelgate("history", "--database", database)
     lines = done.out.splitlines()
 
     assert done.code == 0
     assert len(lines) == 21
     assert lines[0] == "6  2026-05-29 10:26:40+09:00  bolt/-  pass  0.5000 / 1.0000  gel 2BNN4ZE7-1"
-    assert lines[-1] == "20 presses: 4 fail, 16 pass"
+    assert lines[-1] == "25 presses: 5 fail, 20 pass; the newest 20 are listed"
+    counted = gelgate("history", "--database", database, "--count", "3").out.splitlines()
+    assert counted[-1] == "3 presses: 1 fail, 2 pass"
+    assert gelgate("history", "--database", database, "--verdict", "fail").out.endswith("5 presses: 5 fail\n")
 
 
 def test_a_measured_deviation_is_printed(database: Path) -> None:
