@@ -25,12 +25,20 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import kind
 from edge.core.ports import DeviceIdentity
 
-__all__ = ["DELIVERED_SHARE", "HEADER", "Recording", "RecordingHeader", "RecordingWriter", "list_some"]
+__all__ = [
+    "DELIVERED_SHARE",
+    "FRAMES",
+    "HEADER",
+    "Recording",
+    "RecordingHeader",
+    "RecordingWriter",
+    "list_some",
+]
 
 VERSION = 1
 # Independent reports agree on 18.75 fps delivered where 25 are advertised (firmware_notes/gelsight_mini.md).
 DELIVERED_SHARE = 0.75
-HEADER, _INDEX, _FRAMES = "recording.toml", "index.jsonl", "frames"
+HEADER, FRAMES, _INDEX = "recording.toml", "frames", "index.jsonl"
 # An error lists at most this many entries and counts the others.
 _LISTED = 20
 
@@ -200,13 +208,13 @@ class RecordingWriter:
         self._folder = folder
         self._count = keep
         try:
-            (folder / _FRAMES).mkdir(parents=True, exist_ok=True)
+            (folder / FRAMES).mkdir(parents=True, exist_ok=True)
             if keep == 0:
                 (folder / HEADER).write_text(_header_text(header), encoding="utf-8")
             self._index = (folder / _INDEX).open("ab", buffering=0)
             # Lines are removed before their frames, so a kill in between leaves no line without its frame.
             self._index.truncate(index_end)
-            for path in (folder / _FRAMES).glob("[0-9]*.*"):
+            for path in (folder / FRAMES).glob("[0-9]*.*"):
                 if path.stem.isdecimal() and int(path.stem) >= keep:
                     path.unlink()
         except OSError as error:
@@ -216,7 +224,7 @@ class RecordingWriter:
 
     def add(self, payload: bytes, time_ns: int, label: Mapping[str, object] | None = None) -> None:
         """Append one frame: its file first, then its line in the index."""
-        name = f"{_FRAMES}/{self._count:06d}.{kind(payload) or 'bin'}"
+        name = f"{FRAMES}/{self._count:06d}.{kind(payload) or 'bin'}"
         entry: dict[str, object] = {"sequence": self._count, "time_ns": time_ns, "file": name}
         if label is not None:
             entry["label"] = dict(label)

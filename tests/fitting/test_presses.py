@@ -205,6 +205,12 @@ def test_a_recording_of_another_size_names_the_reason(recording: Path) -> None:
         read_presses([recording], camera, Region(0, 0, 320, 240))
 
 
+def test_the_frames_of_a_recording_are_no_pictures_of_presses(recording: Path) -> None:
+    """Most of them show the free gel."""
+    with pytest.raises(FitError, match=f"free gel among them; name the recording, {recording}, in which"):
+        read_presses([recording / "frames"], PROFILE, REGION)
+
+
 def test_a_pattern_chooses_files_in_folders_below(tmp_path: Path) -> None:
     """A folder for each press; the picture of the free gel next to them is not a press."""
     write(tmp_path / "set", "background.png", gel(0))
@@ -213,6 +219,10 @@ def test_a_pattern_chooses_files_in_folders_below(tmp_path: Path) -> None:
         write(tmp_path / "set" / str(k), "plot.png", gel(k))
     with pytest.raises(FitError, match=r"one picture directly inside, background\.png, and 6 in"):
         read_presses([tmp_path / "set"], PROFILE, REGION)
+    with pytest.raises(
+        FitError, match=r"directly inside; choose with --pattern, such as --pattern '\*/background\.png'"
+    ):
+        read_presses([tmp_path], PROFILE, REGION)
     free = [tmp_path / "set/background.png"]
     presses, everything = (
         read_presses([tmp_path / "set"], PROFILE, REGION, pattern=pattern, no_contact=free)

@@ -14,6 +14,7 @@ from calibration.dataset import (
 )
 from calibration.dataset.files import SUFFIXES
 from edge.core.errors import ConfigError, DatasetError, FitError
+from edge.recording.format import FRAMES, HEADER
 from edge.recording.from_images import images_in
 
 __all__ = ["Sources", "check_present", "find_sources", "is_dataset", "list_pictures", "name_apart"]
@@ -127,9 +128,19 @@ def list_pictures(sources: Sequence[Path], pattern: str | None = None) -> list[P
                     f"folder, or a format other than {', '.join(SUFFIXES)}; save it as one, or move it away"
                 )
             if not found:
+                below = next(
+                    (path for path in source.rglob("*/*") if path.suffix.lower() in SUFFIXES), source
+                )
+                folders = "*/" * (len(below.relative_to(source).parts) - 1)
+                remedy = f"choose with --pattern, such as --pattern '{folders}{below.name}'"
                 raise FitError(
                     f"{source} is neither a recording nor a folder with pictures ({', '.join(SUFFIXES)}) "
-                    "directly inside; name the folder that holds them"
+                    f"directly inside; {remedy if folders else 'name the folder that holds them'}"
+                )
+            if source.absolute().name == FRAMES and (source.absolute().parent / HEADER).is_file():
+                raise FitError(
+                    f"{source} holds all frames of a recording, the free gel among them; name the recording, "
+                    f"{source.parent}, in which presses are found"
                 )
             files += found
         else:
