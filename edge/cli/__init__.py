@@ -200,6 +200,9 @@ class _Command(typer.core.TyperCommand):
                 words += hidden[name].opts[:1] if value == "true" else hidden[name].secondary_opts[:1]
             else:
                 ctx.fail(f"'--set {given}' is not understood; write {name}=true or {name}=false")
+        takes = {param.name: param.param_type_name for param in self.params}
+        if words and words[0].endswith(".toml") and "config" in takes and "argument" not in takes.values():
+            ctx.fail(f"'{words[0]}' stands alone; a configuration is given as --config {words[0]}")
         return super().parse_args(ctx, words)
 
 

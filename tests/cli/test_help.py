@@ -197,3 +197,11 @@ def test_help_loads_nothing_heavy() -> None:
         == set()
     )
     assert 100 < len(loaded) < MOST_MODULES
+
+
+@pytest.mark.parametrize("verb", ["check", "run", "history"])
+def test_a_configuration_without_its_option_is_told_where_it_belongs(verb: str) -> None:
+    """Who is in a hurry writes `gelgate check station.toml`."""
+    done = gelgate(verb, "station.toml")
+    assert done.code == 2
+    assert "'station.toml' stands alone; a configuration is given as --config station.toml" in done.err
