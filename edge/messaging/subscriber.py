@@ -168,8 +168,9 @@ def _receive(broker: Broker, topic_filter: str, end: _End, tell: Callable[[str],
     while True:
         try:
             with listening(broker, topic_filter) as (_, inbox):
-                if has_listened:
-                    tell(f"listening to broker {broker} again")
+                tell(
+                    f"listening to broker {broker}{' again' if has_listened else f', topics {topic_filter}'}"
+                )
                 has_listened = True
                 while (message := next_message(inbox, end.seconds_left())) is not None:
                     yield message

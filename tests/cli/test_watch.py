@@ -234,7 +234,9 @@ def test_too_few_verdicts_in_time_fail(broker: LocalBroker, capsys: pytest.Captu
         watch_command(host=broker.host, port=broker.port, count=3, timeout=0.2)
 
     assert ended.value.exit_code == 1
-    assert "0 verdict(s) arrived in 0.2 s, expected 3" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert f", topics {station_filter('gelgate')}" in said
+    assert "0 verdict(s) arrived in 0.2 s, expected 3" in said
 
 
 def validated(broker: LocalBroker, count: int, *messages: tuple[str, bytes]) -> None:
