@@ -17,7 +17,7 @@ from itertools import combinations
 from typing import Self, TypeVar
 
 from edge import registry
-from edge.config import Config, PluginTable
+from edge.config import Config, InspectionTable, PluginTable
 from edge.config.feature_tables import PieceTable
 from edge.core.errors import (
     BundleMismatch,
@@ -28,6 +28,7 @@ from edge.core.errors import (
     StoreError,
 )
 from edge.core.gel_life import is_past
+from edge.core.part_position import PartPosition
 from edge.core.piece import check_places
 from edge.core.plugins import HasAddress, HasWarnings, TriesLogin
 from edge.core.ports import Clock, Device
@@ -167,7 +168,7 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     found.open_bundles(config)
     if config.inspection.part is not None and all(finding.error is None for finding in found.findings):
         selected = _describe_store(config, bundles_in_use.read_selected)
-        found.try_part("part", lambda: str(first_part(config.inspection, found.bundles, selected)))
+        found.try_part("part", lambda: _describe_part(config.inspection, found.bundles, selected))
     if config.piece is not None and found.bundles.bundles:
         found.try_part("places", partial(_check_places, config.piece, found.bundles))
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
@@ -191,6 +192,18 @@ def _describe_bundles(one: OpenBundle) -> str:
         f"{one.part}, {manifest.method} ({manifest.mode}), threshold "
         f"{manifest.threshold.value:.4g}; {len(bundle.golden)} golden frames score as at the fit "
         f"(within {one.golden_difference:.1e}); {bundle.signature}{f'; {licence}' if licence else ''}"
+    )
+
+
+def _describe_part(table: InspectionTable, bundles: BundleSet, selected: PartPosition | None) -> str:
+    """Say which part comes first, and what of `inspection.part` does not hold then. Errors: ConfigError."""
+    part = first_part(table, bundles, selected)
+    try:
+        named = first_part(table, bundles, None)
+    except ConfigError as error:
+        return f"{part}, selected last; {error}"
+    return (
+        str(part) if part == named else f"{part}, selected last; inspection.part, {named}, is a new station's"
     )
 
 

@@ -119,7 +119,7 @@ def test_each_bundle_of_a_station_has_its_finding(tmp_path: Path, recording: Pat
 
 
 def test_a_part_without_a_bundle_is_found_by_the_check(tmp_path: Path, recording: Path, bundle: Path) -> None:
-    """As at the start, where the part that was selected last comes first."""
+    """As at the start, where the part that was selected last comes first: then it is said and no fault."""
     lines = two_parts(tmp_path / "bundles", bundle) + '\npart = "PZ9"'
     config = station_config(tmp_path, recording, lines)
     (finding,) = find(config, "part")
@@ -129,7 +129,11 @@ def test_a_part_without_a_bundle_is_found_by_the_check(tmp_path: Path, recording
 
     with Store(tmp_path / "gelgate.db") as store:
         store.use_bundle(PartPosition("PZ1", "pos1"), None, "digest", 0)
-    assert [finding.text for finding in find(config, "part")] == ["PZ1/pos1"]
+    (finding,) = find(config, "part")
+    assert finding.error is None
+    assert finding.text.startswith(
+        "PZ1/pos1, selected last; inspection.part: no part of this station is named 'PZ9'"
+    )
 
 
 def test_a_start_waits_for_no_large_database(
