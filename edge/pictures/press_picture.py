@@ -175,7 +175,7 @@ def _panel_size(w: int, h: int, mm_per_pixel: tuple[float, float], largest: int)
 def _press_panel(rgb: U8, width: int, height: int) -> U8:
     """The press at that size. Integer factors repeat pixels: the file is a third smaller, and no detail is added."""
     if width % rgb.shape[1] == 0 and height % rgb.shape[0] == 0:
-        return rgb.repeat(height // rgb.shape[0], axis=0).repeat(width // rgb.shape[1], axis=1)
+        return rgb.repeat(width // rgb.shape[1], axis=1).repeat(height // rgb.shape[0], axis=0)
     return np.asarray(cv2.resize(rgb, (width, height), interpolation=_how(rgb, width)), np.uint8)
 
 

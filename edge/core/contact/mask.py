@@ -1,6 +1,7 @@
 """Where a view is touched: the signed difference to the reference, thresholded and cleaned by morphology."""
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ __all__ = [
     "Touch",
     "imprint_strength",
     "is_black",
+    "largest_colour",
     "mask_beyond",
     "measure_change",
     "squared_distance",
@@ -36,6 +38,8 @@ _SMOOTH = (3, 3)
 
 # Adds the colours of a pixel.
 _SUM = np.ones((1, 3), np.float32)
+
+Level = TypeVar("Level", np.uint8, np.float32)
 
 BLACK_LEVEL = 8.0
 """Below this mean level the LEDs or the camera are off, or not ready: real backgrounds have means of 78 to 168."""
@@ -66,6 +70,13 @@ def touched_mask(difference: View) -> NDArray[np.bool_]:
 def squared_distance(difference: View) -> NDArray[np.float32]:
     """The squared colour distance of each pixel: float32 (h, w), levels squared."""
     return np.asarray(cv2.transform(cv2.multiply(difference, difference), _SUM), np.float32)
+
+
+def largest_colour(picture: NDArray[Level]) -> NDArray[Level]:
+    """The largest of the three colours of each pixel: (h, w). picture: (h, w, 3). NumPy's own loop over three numbers
+    takes ten times as long."""
+    red, green, blue = (picture[..., k] for k in range(3))
+    return np.maximum(np.maximum(red, green), blue)
 
 
 def mask_beyond(squared: NDArray[np.float32]) -> NDArray[np.bool_]:

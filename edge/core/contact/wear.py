@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.contact.mask import Touch, touched, touched_mask
+from edge.core.contact.mask import Touch, largest_colour, touched, touched_mask
 from edge.core.contact.reference import Reference, View, fit_levels
 from edge.core.contact.relief import ReliefOfReference
 from edge.core.contact.settings import ContactSettings
@@ -91,7 +91,7 @@ def wear(first: View, now: View) -> Wear:
 
 def _marks(detail: View, scale: float) -> tuple[int, float]:
     """The number of specks, and the scratches' length in picture widths. detail: signed, levels."""
-    far = (np.abs(detail).max(axis=2) > _MARK_LEVELS).astype(np.uint8)
+    far = (largest_colour(np.abs(detail)) > _MARK_LEVELS).astype(np.uint8)
     rim = max(1, round(_RIM_PX * scale))
     far[:rim], far[-rim:], far[:, :rim], far[:, -rim:] = 0, 0, 0, 0
     far = np.asarray(cv2.morphologyEx(far, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), dtype=np.uint8)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from edge.core.arrays import F32, Mask
+from edge.core.contact.mask import largest_colour
 from edge.core.contact.reference import View, fit_levels
 from edge.core.contact.table import State
 
@@ -62,7 +63,7 @@ def marks(first: View, now: View, left: View | None = None) -> Marks | None:
         rest = _find_rest(detail, _detail(left))
         detail = detail - rest
         doubtful = doubtful + np.float32(_LEFT_DOUBT) * _widest(rest, 1)
-    seen = np.abs(cv2.GaussianBlur(detail, (0, 0), _NOISE_SIGMA * _scale(first))).max(axis=2)
+    seen = largest_colour(np.abs(cv2.GaussianBlur(detail, (0, 0), _NOISE_SIGMA * _scale(first))))
     places = _clear(np.maximum(seen - doubtful, 0))
     return None if places is None else Marks(places, _at(places, detail))
 
@@ -99,7 +100,7 @@ def _apparent_change(first: View) -> F32:
 def _widest(view: View, reach: int) -> F32:
     """The largest of all colours within this many pixels, float32 (h, w)."""
     kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    return np.asarray(cv2.dilate(np.abs(view).max(axis=2), kernel), np.float32)
+    return np.asarray(cv2.dilate(largest_colour(np.abs(view)), kernel), np.float32)
 
 
 def _find_rest(detail: View, left: View) -> View:

@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 
 from edge.core.arrays import U8
+from edge.core.contact.mask import largest_colour
 from edge.core.contact.reference import View, fit_levels
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_check import is_same_kind
@@ -121,7 +122,7 @@ def _find_levels(now: View, known: View) -> tuple[FollowedLight | None, bool]:
 
 def _differ(one: View, other: View) -> float:
     """Measure by how much nine tenths of two views differ at most, without the noise of single pixels, levels."""
-    far = np.abs(cv2.blur(one - other, (_NOISE_PX, _NOISE_PX))).max(axis=2)
+    far = largest_colour(np.abs(cv2.blur(one - other, (_NOISE_PX, _NOISE_PX))))
     return float(np.quantile(far, 0.9))
 
 

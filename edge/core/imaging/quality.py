@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.contact.mask import BLACK_LEVEL, Touch
+from edge.core.contact.mask import BLACK_LEVEL, Touch, largest_colour
 from edge.core.printable import score_texts
 from edge.core.sentence import Sentence
 
@@ -100,7 +100,7 @@ def check_light(rgb: NDArray[np.uint8]) -> Rejection | None:
             "check the sensor's light and cable"
         )
         return Rejection(Reason.BLACK, text)
-    saturated = float((rgb.max(axis=2) >= SATURATED_LEVEL).mean())
+    saturated = float((largest_colour(rgb) >= SATURATED_LEVEL).mean())
     if saturated > SATURATED_SHARE:
         share, saturated_share = score_texts(saturated, SATURATED_SHARE, 0, "%")
         text = Sentence(
