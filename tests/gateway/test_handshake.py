@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from station import station_config, two_parts
+from station import station_config, two_parts, variant
 from stepped_station import SteppedStation
 
 from edge.clock import SystemClock
@@ -159,10 +159,16 @@ def test_by_command_no_frame_of_before_the_trigger_is_judged(configure: Make) ->
 
 
 def test_a_trigger_selects_its_part(tmp_path: Path, configure: Make, bundle: Path) -> None:
-    """An act of the PLC; a press of another one is an error, as where a person selects that meanwhile."""
+    """An act of the PLC; a press of another one is an error, as where a person selects that meanwhile. A part without
+    its position is refused where it has several: any bundle of it could judge the press."""
     two_parts(tmp_path / "bundles", bundle)
+    variant(bundle, tmp_path / "bundles" / "c", part="PZ2")
+    variant(bundle, tmp_path / "bundles" / "d", part="PZ2", position="pos2")
     with PlcStation(configure(inspection=f'bundle_folder = "{tmp_path / "bundles"}"')) as station:
         station.play_until_ready()
+        assert station.trigger(1, part="PZ2") is Code.UNKNOWN_PART
+        refused = station.parts.store.acts(1)[0].sentence
+        assert refused == "the part 'PZ2' has 2 positions here; name one of PZ2/pos1, PZ2/pos2"
         assert station.trigger(1, "piece 1", "PZ1") is Code.NONE
         station.play_presses(1)
         assert station.result == ("done", 1, "pass", Code.NONE)

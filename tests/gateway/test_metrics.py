@@ -25,7 +25,8 @@ def port() -> int:
 
 def read(port: int) -> dict[str, float]:
     """Metric with its label, as a scrape reads it."""
-    _, answer = ask(port, "/metrics")
+    status, answer = ask(port, "/metrics")
+    assert status == 200
     lines = (line.rpartition(" ") for line in answer.decode().splitlines() if not line.startswith("#"))
     return {name: float(value) for name, _, value in lines}
 
