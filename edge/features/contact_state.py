@@ -71,7 +71,6 @@ class ContactWatch(PressStage):
 
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
         self.follower.judge(press.press_id)
-        self._say()
         return press
 
     def look(self, look: Look) -> None:
