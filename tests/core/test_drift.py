@@ -59,14 +59,31 @@ def test_one_value_far_away_is_no_shift() -> None:
     assert chart.shift == 0
 
 
-def test_values_that_repeat_exactly_shift_by_the_floor_alone() -> None:
-    """A twentieth of a millimetre is no other place, a millimetre is."""
-    place = MEASURES[2]
+@pytest.mark.parametrize(
+    ("name", "usual", "floor"),
+    [
+        ("score_ratio", 0.1, 0.02),
+        ("score_ratio", 0.8, 0.04),
+        ("strength_levels", 0.1, 0.01),
+        ("strength_levels", 10.0, 0.2),
+        ("x_mm", 30.0, 0.05),
+        ("y_mm", 30.0, 0.05),
+        ("noise_levels", 0.1, 0.05),
+        ("noise_levels", 2.0, 0.2),
+        ("light_levels", 5.0, 0.5),
+        ("light_levels", 150.0, 3.0),
+    ],
+)
+def test_values_that_repeat_exactly_shift_by_the_floor_alone(name: str, usual: float, floor: float) -> None:
+    """A twentieth of a millimetre is no other place, a sixth is; of most measures a share of what is usual counts."""
+    measure = next(one for one in MEASURES if one.name == name)
 
-    assert run(np.array([3.0] * 50 + [3.04] * 100), place)[0] is None
-    number, chart = run(np.array([3.0] * 50 + [4.0] * 50), place)
+    assert run(np.array([usual] * 50 + [usual + 0.8 * floor] * 100), measure)[0] is None
+    number, chart = run(np.array([usual] * 50 + [usual + 3 * floor] * 50), measure)
     assert number is not None
-    assert chart.describe(place).startswith(f"place x is higher since about {number - 50} passing presses: ")
+    assert chart.describe(measure).startswith(
+        f"{measure.title} is higher since about {number - 50} passing presses: "
+    )
 
 
 def test_a_fall_is_said_as_one() -> None:
