@@ -41,18 +41,20 @@ def test_a_press_is_not_judged_by_what_was_seen_before_hidden(how: str, frames: 
     assert [isinstance(event, PressSettled) for event in verdicts] == [settled]
 
 
-def test_broken_frames_do_not_hide_that_the_sensor_is_blind() -> None:
-    """A slow camera shows black, and every third of its frames is cut: two seconds after the last picture it is lost.
-    No black frame counts as one that shows the gel."""
+@pytest.mark.parametrize(("cut", "fault"), [(3, "black"), (1, "end marker")])
+def test_broken_frames_do_not_hide_that_the_sensor_is_blind(cut: int, fault: str) -> None:
+    """A slow camera shows black, and every third of its frames, or each, is cut: two seconds after the last picture it
+    is lost. No such frame counts as one that shows the gel, and each is counted."""
     detector = PressDetector(PROFILE)
     for number in range(1, 20):
         detector.feed(CameraFrame(jpeg(gel(RNG, 0.0)), number * 143_000_000, number))
     seen_ns = detector.sight.seen_ns
     for number in range(20, 36):
-        picture = unseen(number, "black")[: -2 if number % 3 == 0 else None]
+        picture = unseen(number, "black")[: -2 if number % cut == 0 else None]
         detector.feed(CameraFrame(picture, number * 143_000_000, number))
-    assert "black" in str(detector.sight.lost)
+    assert fault in str(detector.sight.lost)
     assert detector.sight.seen_ns == seen_ns
+    assert detector.corrupt == 16
 
 
 def test_a_pause_after_blind_frames_is_as_long_as_nothing_was_seen() -> None:
