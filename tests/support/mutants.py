@@ -12,9 +12,11 @@ import argparse
 import ast
 import hashlib
 import json
+import math
 import os
 import random
 import re
+import resource
 import shutil
 import signal
 import subprocess
@@ -48,10 +50,14 @@ SWAPPED = {
 }
 # What only people and type checkers read.
 UNSEEN = re.compile(r"\s*(__all__|@|from |import |class |assert )|.*(TYPE_CHECKING|: .*Field\()")
-# A mutant that takes three times as long as the program is noticed, and this much more: a process must start.
-START_S = 30.0
+# A test that takes three times as long with a mutant notices it, and this much more: it may be the first of a process.
+START_S = 15.0
 NOTED = "GELGATE_TESTS_OF_LINES"
+# A file: how many times its seconds each test may take, and the seconds of each.
+LIMITED = "GELGATE_TIMES_OF_TESTS"
 ONE_AT_A_TIME = Lock()
+Noted = tuple[dict[str, dict[str, list[str]]], dict[str, float]]
+"""Path to line to its tests, and test to seconds."""
 
 
 @dataclass(frozen=True)
@@ -175,53 +181,95 @@ class TestsOfLines:
 
     def pytest_sessionfinish(self) -> None:
         self.coverage.stop()
-        data, lines = self.coverage.get_data(), {}
+        data, noted = self.coverage.get_data(), defaultdict[str, Noted](lambda: ({}, {}))
+        for test, seconds in self.seconds.items():
+            noted[test.split("::")[0]][1][test] = seconds
         for file in data.measured_files():
-            by_line = {n: list(filter(None, tests)) for n, tests in data.contexts_by_lineno(file).items()}
-            lines[str(Path(file).relative_to(ROOT))] = {n: tests for n, tests in by_line.items() if tests}
-        Path(os.environ[NOTED]).write_text(json.dumps([lines, self.seconds]), encoding="utf-8")
+            for line, tests in data.contexts_by_lineno(file).items():
+                for test in filter(None, tests):
+                    by_line = noted[test.split("::")[0]][0].setdefault(str(Path(file).relative_to(ROOT)), {})
+                    by_line.setdefault(str(line), []).append(test)
+        Path(os.environ[NOTED]).write_text(json.dumps(noted), encoding="utf-8")
+
+
+class LimitOfEachTest:
+    """Ends the process at a test that takes so many times its own seconds of the processor, or waits as long again."""
+
+    def __init__(self, times: float, seconds: Mapping[str, float]) -> None:
+        self.times, self.seconds = times, seconds
+        self.allow(0.0)
+
+    def allow(self, own_s: float) -> None:
+        cpu_s = self.times * (START_S + own_s)
+        most_s = resource.getrlimit(resource.RLIMIT_CPU)[1]
+        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(time.process_time() + cpu_s), most_s))
+        signal.setitimer(signal.ITIMER_REAL, 2 * cpu_s)
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> None:
+        self.allow(self.seconds.get(item.nodeid, 0.0))
 
 
 def pytest_configure(config: pytest.Config) -> None:
     if NOTED in os.environ:
         config.pluginmanager.register(TestsOfLines())
+    if LIMITED in os.environ:
+        config.pluginmanager.register(LimitOfEachTest(*json.loads(Path(os.environ[LIMITED]).read_bytes())))
 
 
 @cache
-def tests_of_lines(folder: str) -> tuple[Mapping[str, Mapping[str, list[str]]], Mapping[str, float]]:
-    """Return (path to line to its tests, test to seconds), measured once for a state of program and tests."""
-    files = sorted(file for name in ("edge", "plugins", "tests") for file in (ROOT / name).rglob("*.py"))
-    state = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
-    kept = ROOT / ".mutants" / f"{Path(folder).name}-{state}.json"
-    if not kept.exists():
-        kept.parent.mkdir(exist_ok=True)
-        print(f"{folder}: its tests run once under coverage", flush=True)
-        if run(ROOT, [folder], {NOTED: str(kept)}) != "passed":
-            kept.unlink(missing_ok=True)
-            sys.exit(f"the tests in {folder} fail without a mutant; run them")
-    lines, seconds = json.loads(kept.read_text(encoding="utf-8"))
+def tests_of_lines(folder: str) -> Noted:
+    """Return what the tests in a folder run; each of its files is measured once for a state of it and the program."""
+    shared = [file for name in ("edge", "plugins", "tests/support") for file in (ROOT / name).rglob("*.py")]
+    program = hash_of(sorted([*shared, *(ROOT / "tests").rglob("conftest.py")]))
+    files = sorted((ROOT / folder).rglob("test_*.py"))
+    kept = {
+        str(file.relative_to(ROOT)): ROOT / f".mutants/{file.stem}-{program}-{hash_of([file])}.json"
+        for file in files
+    }
+    if new := [name for name, path in kept.items() if not path.exists()]:
+        print(f"{folder}: tests run once under coverage, of {len(new)} files", flush=True)
+        (ROOT / ".mutants").mkdir(exist_ok=True)
+        with tempfile.NamedTemporaryFile("r", suffix=".json", encoding="utf-8") as noted:
+            if run(ROOT, new, {NOTED: noted.name}) != "passed":
+                sys.exit(f"the tests in {folder} fail without a mutant; run them")
+            found = json.load(noted)
+        for name in new:
+            kept[name].write_text(json.dumps(found.get(name, ({}, {}))), encoding="utf-8")
+    lines, seconds = defaultdict[str, dict[str, list[str]]](dict), dict[str, float]()
+    for path in kept.values():
+        of_file, took = json.loads(path.read_text(encoding="utf-8"))
+        seconds |= took
+        for name, by_line in of_file.items():
+            for line, tests in by_line.items():
+                lines[name].setdefault(line, []).extend(tests)
     return lines, seconds
 
 
-def run(tree: Path, tests: Sequence[str], variables: Mapping[str, str], within: Sequence[str] = ()) -> str:
-    """Run these tests against the program in a folder. Return "passed", "failed" or "late". within: the words of a
-    command that ends them."""
+def hash_of(files: Sequence[Path]) -> str:
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+
+
+def run(tree: Path, tests: Sequence[str], variables: Mapping[str, str]) -> str:
+    """Run these tests against the program in a folder. Return "passed", "failed" or "late"."""
     with tempfile.NamedTemporaryFile("w", suffix=".txt") as named:
         named.write("\n".join(tests))
         named.flush()
         words = ["pytest", "-q", "-x", "-p", "mutants", "-p", "no:cacheprovider", f"@{named.name}"]
         environment = {**os.environ, "PYTHONPATH": f"{tree}:{tree / 'tests/support'}", **variables}
-        command = [*within, sys.executable, "-m", *words]
+        command = [sys.executable, "-m", *words]
         status = subprocess.run(
             command, cwd=tree, env=environment, capture_output=True, check=False
         ).returncode
-    # `timeout` ends with 124; processor time that is spent ends a process by a signal.
-    return {0: "passed", 124: "late", -signal.SIGXCPU: "late", -signal.SIGKILL: "late"}.get(status, "failed")
+    # pytest ends with 5 where a file has no test that is selected.
+    return {0: "passed", 5: "passed", -signal.SIGXCPU: "late", -signal.SIGALRM: "late"}.get(status, "failed")
 
 
-def limits(cpu_s: float) -> list[str]:
-    """Return the words before a command that may use so much processor time, and wait as long again."""
-    return ["timeout", f"{2 * cpu_s:.0f}", "prlimit", f"--cpu={cpu_s:.0f}"]
+def run_within(tree: Path, tests: Sequence[str], times: float, seconds: Mapping[str, float]) -> str:
+    """Run them, each for at most so many times its seconds."""
+    limits = tree / "times_of_tests.json"
+    limits.write_text(json.dumps([times, {test: seconds.get(test, 0.0) for test in tests}]), encoding="utf-8")
+    return run(tree, tests, {LIMITED: str(limits)})
 
 
 def judge(mutant: Mutant, tree: Path) -> str:
@@ -238,13 +286,12 @@ def judge(mutant: Mutant, tree: Path) -> str:
         if not tests:
             continue
         in_order = sorted(tests, key=lambda test: seconds.get(test, 0.0))
-        cpu_s = START_S + sum(seconds.get(test, 0.0) for test in in_order)
         path.write_text(mutant.source, encoding="utf-8")
         try:
-            outcome = run(tree, in_order, {}, limits(3 * cpu_s))
+            outcome = run_within(tree, in_order, 3, seconds)
         finally:
             path.write_bytes(sound)
-        if outcome == "late" and run(tree, in_order, {}, limits(cpu_s)) != "passed":
+        if outcome == "late" and run_within(tree, in_order, 1, seconds) != "passed":
             return "not tried"
         if outcome != "passed":
             return "killed"
