@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import turned_parts as parts
 
-from edge.core.registration.coarse import CoarseSearch
+from edge.core.registration.coarse import CoarseSearch, shifts_alike
 from edge.core.registration.pose import Pose
 
 
@@ -56,3 +56,13 @@ def test_a_part_is_found_from_one_side_of_the_field_to_the_other() -> None:
 
     assert pose.x_px == pytest.approx(48, abs=1.5)  # its flanks have left the field
     assert pose.y_px == pytest.approx(0, abs=1)
+
+
+@pytest.mark.parametrize(("turn_rad", "pitch_px"), [(0.0, (10, 0)), (math.pi / 2, (0, 10))])
+def test_teeth_look_alike_a_pitch_further_on(turn_rad: float, pitch_px: tuple[int, int]) -> None:
+    """To the side or down; nothing agrees better than with itself."""
+    slopes = parts.slopes(parts.TEETH, Pose(turn_rad=turn_rad), 64).astype(np.float32)
+    (pose,) = shifts_alike(slopes, 1, 5.0, 0.9, 0.5)
+
+    assert (abs(pose.x_px), abs(pose.y_px)) == pitch_px
+    assert not shifts_alike(slopes, 1, 5.0, 1.001, 0.5)
