@@ -14,6 +14,9 @@ def test_settings_refuse_nonsense() -> None:
         lambda: ContactSettings(onset_s=-1),
         lambda: ContactSettings(settle_timeout_s=0.1),
         lambda: ContactSettings(min_frames=0),
+        lambda: ContactSettings(stuck_s=0),
+        lambda: ContactSettings(light_levels=0),
     ):
         with pytest.raises(ValueError, match="found"):
             make()
+    ContactSettings(min_frames=1, baseline_frames=1, refresh_s=0.5, stuck_s=0.5, light_levels=0.5)
