@@ -92,6 +92,7 @@ class ContactTracker:
         self.reference: Reference | None = None
         """The free gel as last learnt, or the stored one until then."""
         self._structure: ReliefOfReference | None = None
+        self._touched_then: float | None = None
         self._light_at_fit = None if witness is None else float(witness.view.mean())
         self._dimming = 1.0
         self._refer_to(stored or witness)
@@ -296,13 +297,14 @@ class ContactTracker:
             return False
         if witness.view.shape != view.shape:
             return False
-        touched_now, touched_then = (
-            touched(touched_mask(witness.difference(one))).area for one in (view, reference.view)
-        )
-        return touched_now < self.settings.off_area and touched_then >= self.settings.on_area
+        if self._touched_then is None:
+            self._touched_then = _find_area(witness, reference.view)
+        if self._touched_then < self.settings.on_area:
+            return False
+        return _find_area(witness, view) < self.settings.off_area
 
     def _refer_to(self, reference: Reference | None) -> None:
-        self.reference = reference
+        self.reference, self._touched_then = reference, None
         self._structure = None if reference is None else ReliefOfReference(reference.view)
         if reference is not None and self._light_at_fit is not None:
             # A dark gel shows all of an imprint darker; by its strength a press is compared with those at fit.
@@ -344,3 +346,8 @@ class ContactTracker:
         self._refer_to(new)
         self._free.clear()
         return [ReferenceRefreshed(timestamp_ns, float(np.abs(new.view - old.view).mean()))]
+
+
+def _find_area(free: Reference, view: View) -> float:
+    """Find the share of a view that is touched, by this picture of the free gel."""
+    return touched(touched_mask(free.difference(view))).area
