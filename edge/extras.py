@@ -1,10 +1,12 @@
 """Packages that only some verbs need: asked for at a verb's start, so that no work is done in vain."""
 
+from functools import cache
+from importlib.metadata import version
 from importlib.util import find_spec
 
 from edge.core.errors import ConfigError
 
-__all__ = ["is_installed", "needs", "where_to_get"]
+__all__ = ["find_version", "is_installed", "needs", "where_to_get"]
 
 # The package to import, by the extra of `pip install` that brings it.
 _STUDIES = ("joblib", "pandas", "matplotlib", "jinja2", "scipy")
@@ -22,6 +24,12 @@ _PACKAGES = {
     "datamatrix": ("zxingcpp",),
     "docs": ("zensical",),
 }
+
+
+@cache
+def find_version(package: str) -> str:
+    """Find the version of an installed package, once: to read it takes longer than to judge a frame."""
+    return version(package)
 
 
 def is_installed(package: str) -> bool:

@@ -1,7 +1,6 @@
 """The measurements on a bundle before it is written: golden frames, tolerance, costs, where presses touch."""
 
 import contextlib
-import importlib.metadata
 import math
 import platform
 from collections.abc import Mapping, Sequence
@@ -18,6 +17,7 @@ from edge.core.detector import Detector, KeepsMean
 from edge.core.errors import FitError, NotScorable
 from edge.core.imaging.quality import NominalContact, NominalStrength
 from edge.core.printable import write_count
+from edge.extras import find_version
 from edge.model.bundle import GoldenFrame
 from edge.model.manifest import CostCard, Provenance, ThresholdEntry, ToleranceEntry
 from edge.model.manifest_facts import GIVEN
@@ -233,7 +233,7 @@ def provenance(created: str, presses: NominalPresses, seed: int | None, said: Se
         left_out=presses.left_out,
         seed=seed,
         versions={
-            "gelgate": importlib.metadata.version("gelgate"),
+            "gelgate": find_version("gelgate"),
             "numpy": np.__version__,
             "onnxruntime": ort.__version__,
             "python": platform.python_version(),

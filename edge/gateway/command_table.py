@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from importlib.metadata import version
 from typing import Any, Final
 
 from edge.clock import local_day
@@ -13,6 +12,7 @@ from edge.config import Config
 from edge.core.errors import ConfigError, DeviceNotFound
 from edge.core.ports import Message
 from edge.core.suggest import suggestion
+from edge.extras import find_version
 from edge.gateway.commands import Change, Handler
 from edge.gateway.features import load_every_feature, load_features
 from edge.gateway.loop_calls import LoopCalls
@@ -208,7 +208,7 @@ def describe_station(config: Config) -> DescribedStation:
     return DescribedStation(
         root=config.station.place.root,
         place=str(config.station.place),
-        version=version("gelgate"),
+        version=find_version("gelgate"),
         commands=[one for one in station_commands(config) if one.verb in served],
         signed=commands.signed,
         picture_type=f"image/{config.station.heatmap}",

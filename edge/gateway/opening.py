@@ -4,7 +4,6 @@ import contextlib
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
@@ -14,6 +13,7 @@ from edge.core.errors import BundleMismatch, ConfigError, GelgateError
 from edge.core.part_position import PartPosition
 from edge.core.plugins import Played, PlaysRecording
 from edge.core.ports import Clock, Device, DeviceIdentity
+from edge.extras import find_version
 from edge.gateway.bundle_set import BundleSet, OpenBundle, part_of
 from edge.model.archive import MANIFEST, open_archive
 from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
@@ -228,7 +228,7 @@ def try_once(path: Path, trust: Trust, threads: int, tried: Path, *, keep: bool 
     keep: add it there. Errors: BundleError.
     """
     digest = _digest(path, trust)  # the signature before anything of it is run
-    mark = f"{digest} gelgate {version('gelgate')} onnxruntime {version('onnxruntime')}"
+    mark = f"{digest} gelgate {find_version('gelgate')} onnxruntime {find_version('onnxruntime')}"
     known: list[str] = []
     with contextlib.suppress(OSError, UnicodeDecodeError):
         known = tried.read_text(encoding="utf-8").splitlines()

@@ -3,7 +3,6 @@
 import logging
 import threading
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 from typing import Literal
 
 from edge.acquisition import AcquisitionState, AcquisitionStatus
@@ -12,6 +11,7 @@ from edge.core.digital_io import StationView
 from edge.core.gel_life import GelState
 from edge.core.ports import Clock, DeviceIdentity, Message
 from edge.core.sentence import Sentence, join_sentences
+from edge.extras import find_version
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared, list_alarms
 from edge.messaging.status_payloads import (
     GelPayload,
@@ -206,7 +206,7 @@ class StationStatus:
         manifest, (x_mm, y_mm) = bundle.manifest, bundle.profile.mm_per_pixel
         payload = InfoPayload(
             time_ns=self._clock.time_ns(),
-            gelgate_version=version("gelgate"),
+            gelgate_version=find_version("gelgate"),
             sensor_product=identity.product,
             sensor_serial=identity.serial,
             sensor_profile=manifest.profile.name,

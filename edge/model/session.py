@@ -5,7 +5,6 @@ import platform
 import threading
 from collections.abc import Container, Iterator, Mapping
 from functools import cache
-from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +13,7 @@ import numpy as np
 import onnxruntime as ort
 
 from edge.core.errors import BundleCorrupt
+from edge.extras import find_version
 from edge.model.onnx_validation import GraphRefused, check_graph
 
 __all__ = [
@@ -125,7 +125,7 @@ def fingerprint(threads: int) -> dict[str, Any]:
     """Plain JSON. threads: that score one press. flags: of the processor, as the system names them."""
     cpu = read_cpu()
     return {
-        **{name: version(name) for name in _LIBRARIES},
+        **{name: find_version(name) for name in _LIBRARIES},
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}",
         "processor": cpu.get("model name", "") or platform.processor() or platform.machine(),

@@ -2,10 +2,11 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from typing import Final, Protocol, Self
 
 from pydantic import BaseModel
+
+from edge.extras import find_version
 
 __all__ = ["PUBLISHED", "REQUESTED", "DescribedCommand", "DescribedStation", "SparkplugNode"]
 
@@ -48,7 +49,7 @@ class DescribedStation:
     @classmethod
     def of_root(cls, root: str) -> Self:
         """The station of these topics, `<prefix>/<site>/<line>/<station>/gel/v1`, without its commands."""
-        return cls(root, "/".join(root.split("/")[1:-2]), version("gelgate"))
+        return cls(root, "/".join(root.split("/")[1:-2]), find_version("gelgate"))
 
     @property
     def id(self) -> str:
