@@ -286,23 +286,25 @@ def _look_alike(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
     every = [aligned.colours.slopes(one) for one in small]
     slopes = every[:_LOOKED_AT]
     found = [search.find(one) for one in slopes]
+    parts = range(_MOST_SYMMETRY, 1, -1)
 
-    def loses(n: int) -> list[float]:
-        """Compute how much less each press agrees that is turned by the n-th part of a turn."""
-        lost = []
-        for one, press in zip(found, slopes, strict=True):
-            turn = one.pose.turn_rad + 2 * math.pi / n
-            again = search.find(press, turn)
-            is_there = abs(math.remainder(again.pose.turn_rad - turn, 2 * math.pi)) < _SAME_TURN_RAD
-            lost.append(one.match - again.match if is_there else 1.0)
-        return lost
+    def loses(press: F32, one: Alignment) -> list[float]:
+        """Compute how much less a press agrees that is turned by each of these parts of a turn."""
+        turns = [one.pose.turn_rad + 2 * math.pi / n for n in parts]
+        return [
+            one.match - again.match
+            if abs(math.remainder(again.pose.turn_rad - turn, 2 * math.pi)) < _SAME_TURN_RAD
+            else 1.0
+            for turn, again in zip(turns, search.find_at(press, turns), strict=True)
+        ]
 
-    lost = {n: loses(n) for n in range(_MOST_SYMMETRY, 1, -1)}
+    of_press = [loses(press, one) for press, one in zip(slopes, found, strict=True)]
+    lost = dict(zip(parts, zip(*of_press, strict=True), strict=True))
     alike = next((n for n, each in lost.items() if np.median(each) < _ALIKE), 1)
     doubts = aligned.doubts | {n for n, each in lost.items() if min(each) < _ALIKE}
     symmetry = max(aligned.symmetry, alike)
     if symmetry > 1:  # of turns that look the same all presses have the first one's, where they were held so
-        held = [search.find(one, 0.0) for one in every]
+        held = [search.find_at(one, [0.0])[0] for one in every]
         best = [*found, *(search.find(one) for one in every[_LOOKED_AT:])]
         if all(1 - one.match <= _AS_WELL * (1 - other.match) for one, other in zip(held, best, strict=True)):
             aligned = replace(aligned, poses=[one.pose for one in held], is_held=True)

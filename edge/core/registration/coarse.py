@@ -5,6 +5,7 @@ is found where most of it fits.
 """
 
 import math
+from collections.abc import Iterable, Iterator
 
 import cv2
 import numpy as np
@@ -38,15 +39,26 @@ class CoarseSearch:
         turned /= np.maximum(norms, np.finfo(np.float32).tiny).astype(np.float32)
         self._spectra = np.conj(self._spectra_of(turned)).transpose(1, 0, 2, 3)
 
-    def candidates(self, slopes: F32, count: int, near_rad: float | None = None) -> list[tuple[Pose, float]]:
+    def candidates(self, slopes: F32, count: int) -> list[tuple[Pose, float]]:
         """The best poses in cells, each with the correlation of its slopes, at most 1; best first, none by another.
 
         A regular part fits nearly as well a pitch further on. Those that fit much worse than the best are left out.
-        slopes: of a press, in cells. near_rad: find poses at the nearest turn alone.
+        slopes: of a press, in cells.
         """
+        return self._choose(self._matches(slopes), count)
+
+    def candidates_at(
+        self, slopes: F32, count: int, turns_rad: Iterable[float]
+    ) -> Iterator[list[tuple[Pose, float]]]:
+        """Yield what `candidates` finds at the nearest turn alone, for each of these."""
         matches = self._matches(slopes)
-        if near_rad is not None:
-            matches[np.arange(len(matches)) != round(near_rad / self._step_rad) % len(matches)] = -1
+        for turn in turns_rad:
+            k, only = round(turn / self._step_rad) % len(matches), np.full_like(matches, -1)
+            only[k] = matches[k]
+            yield self._choose(only, count)
+
+    def _choose(self, matches: F32, count: int) -> list[tuple[Pose, float]]:
+        """Take the best places of matches, which are spent by it."""
         # Each turn's best place; only the turn at which a candidate was taken is searched again.
         each = matches.reshape(len(matches), -1)
         place = each.argmax(axis=1)

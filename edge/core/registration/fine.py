@@ -124,7 +124,9 @@ class FineSearch:
         """Compute for each pose the part's move that explains the press best, and its covariance (n, 3, 3)."""
         sums = (weight @ self._sums).astype(np.float64)
         gain = np.maximum((moved @ self._part) / np.maximum(sums[:, 9], _TINY), _LEAST_GAIN)
-        error = moved - gain[:, None].astype(np.float32) * (self._part * np.tile(weight, 2))
+        error = moved - gain[:, None].astype(np.float32) * (
+            self._part * np.concatenate([weight, weight], axis=1)
+        )
         normal = sums[:, :9].reshape(-1, 3, 3) * (gain**2)[:, None, None]
         prior = self._prior * np.maximum(normal[:, 0, 0] + normal[:, 1, 1], _TINY)[:, None, None]
         solved = np.linalg.inv(normal + prior)

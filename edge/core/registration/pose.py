@@ -26,7 +26,7 @@ class Pose:
     """Clockwise in the picture, about the picture's centre."""
 
     def __post_init__(self) -> None:
-        if not all(math.isfinite(value) for value in (self.x_px, self.y_px, self.turn_rad)):
+        if not (math.isfinite(self.x_px) and math.isfinite(self.y_px) and math.isfinite(self.turn_rad)):
             raise ValueError(f"a pose is finite, found {self}")
 
     def matrix(self, size: tuple[int, int]) -> F64:
