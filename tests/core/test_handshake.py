@@ -337,5 +337,5 @@ class AnyOrder(RuleBasedStateMachine):
             assert self.bench.machine.has_beat(self.bench.now_ns)
 
 
-AnyOrder.TestCase.settings = settings(max_examples=300, stateful_step_count=40, deadline=None)
+AnyOrder.TestCase.settings = settings(max_examples=150, stateful_step_count=40, deadline=None)
 TestAnyOrder = AnyOrder.TestCase

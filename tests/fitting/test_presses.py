@@ -36,14 +36,14 @@ def gel(seed: int, centre: tuple[int, int] | None = None, radius: int = 18) -> b
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three presses at known places, each half a second long, with four seconds of free gel around them."""
+    """Three presses at known places, each half a second long, with a second of free gel around them."""
     folder = tmp_path_factory.mktemp("recordings") / "three"
     header = RecordingHeader("mock", "TEST", (160, 120), 20.0, "test")
     free, pressed = [gel(k) for k in range(4)], [gel(9, (70 + 10 * k, 60)) for k in range(3)]
     frames = [(free[k % 4], None) for k in range(30)]
     for press in range(3):
         frames += [(pressed[press], {"specimen": press // 2})] * 12
-        frames += [(free[k % 4], None) for k in range(70)]
+        frames += [(free[k % 4], None) for k in range(20)]
     with RecordingWriter(folder, header) as writer:
         for number, (payload, label) in enumerate(frames):
             writer.add(with_comment(payload, str(number)), number * FRAME_NS, label)
@@ -192,7 +192,7 @@ def test_what_is_missing_of_a_recording_is_said(recording: Path, tmp_path: Path)
 
     cut, unread, labels = presses.faults
     assert cut == "recording copy ends within a line of its index: what came later is not learnt"
-    assert unread.startswith("1 of 275 frames of recording copy cannot be read; the first: frame 5 ")
+    assert unread.startswith("1 of 125 frames of recording copy cannot be read; the first: frame 5 ")
     assert labels == "recording copy has labels of 2 presses, and 3 were found in it"
 
 

@@ -68,7 +68,7 @@ def inspected_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @cache
 def _inspect(folder: Path) -> Judged:
     """Fit and play once for every module."""
-    nominal = press_recording(folder / "nominal", 8, motion=Motion(hold=8, idle=20), seed=1)
+    nominal = press_recording(folder / "nominal", 8, motion=Motion(hold=8), seed=1)
     fit(nominal, folder / "old", "--set", "gain=2.0")
     presses = press_recording(folder / "presses", 6, dented=[2, 4], motion=Motion(hold=8, idle=34), seed=7)
     with SteppedStation(station_config(folder, presses, folder / "old")) as station:

@@ -49,7 +49,7 @@ HAPPENINGS = st.one_of(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.lists(HAPPENINGS, max_size=120), st.booleans(), st.sampled_from(list(State)))
 def test_whatever_happens_each_press_has_one_verdict(
     happenings: list[tuple[float, float, int, bool] | str], is_external: bool, state: State
@@ -100,7 +100,7 @@ def depth_at(t: float, presses: list[Press], start: float) -> float:
     return 0.0
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     fps=st.floats(5, 60),
     presses=st.lists(

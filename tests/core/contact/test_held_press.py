@@ -41,7 +41,7 @@ def found(shown: list[CameraFrame], monkeypatch: pytest.MonkeyPatch, *, every: b
 @pytest.mark.parametrize("lifted_frames", [1, 2, 3, 4])
 def test_a_short_lift_ends_a_press_as_before(lifted_frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """From three frames on, which is what a release takes, the next press is another one."""
-    lead, held, presses = [0.0] * 60, [1.0] * 25, 4
+    lead, held, presses = [0.0] * 60, [1.0] * 25, 2
     shown = list(frames([*lead, *([*held, *([0.0] * lifted_frames)] * presses), *([0.0] * 10)]))
     before, every = found(shown, monkeypatch, every=True)
     after, some = found(shown, monkeypatch, every=False)

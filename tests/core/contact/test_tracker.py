@@ -92,8 +92,10 @@ def ready(fps: float = 25.0, settings: ContactSettings | None = None) -> Camera:
     return camera
 
 
-@pytest.mark.parametrize("fps", [5.0, 10.0, 18.75, 25.0, 60.0])
-@pytest.mark.parametrize("every", [True, False])
+@pytest.mark.parametrize(
+    ("fps", "every"),
+    [(5.0, True), (18.75, True), *((fps, False) for fps in (5.0, 10.0, 18.75, 25.0, 60.0))],
+)
 def test_one_press_one_frame_at_any_rate(fps: float, every: bool) -> None:
     """Three presses at 5 to 60 frames a second, every frame looked at or only those that are due: three settled."""
     camera = ready(fps)
@@ -227,10 +229,10 @@ def test_a_part_arriving_during_the_baseline_is_not_learnt() -> None:
 
 
 def test_unplugged_in_the_middle_of_presses() -> None:
-    """Twenty pulls of the plug during presses, the camera black at first each time: twenty presses, twenty verdicts."""
+    """Ten pulls of the plug during presses, the camera black at first each time: ten presses, ten verdicts."""
     camera = ready()
-    for i in range(20):
-        camera.wait(0.04 * (i % 5) + 0.04 * i, depth=1.0)
+    for i in range(10):
+        camera.wait(0.04 * (i % 5) + 0.08 * i, depth=1.0)
         camera.events += camera.tracker.gap()
         camera.count += 50
         for _ in range(3):
@@ -239,7 +241,7 @@ def test_unplugged_in_the_middle_of_presses() -> None:
             camera.events += camera.tracker.feed(black, round(camera.now * SECOND), camera.count)
         camera.wait(1.0, depth=1.0)
         camera.wait(1.0)
-    assert camera.names() == ["PressBegan", "PressSettled", "PressEnded"] * 20
+    assert camera.names() == ["PressBegan", "PressSettled", "PressEnded"] * 10
 
 
 def test_a_part_that_lies_there_after_an_interruption_is_no_free_gel() -> None:

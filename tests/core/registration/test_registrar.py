@@ -21,8 +21,8 @@ RIM = Pose(34.0, -4.0, 0.4)
 
 @cache
 def learnt(name: str) -> LearntPose:
-    """From 16 presses anywhere."""
-    return learn_pose(parts.anywhere(getattr(parts, name), 16)[1], parts.free_gel())
+    """From eight presses anywhere."""
+    return learn_pose(parts.anywhere(getattr(parts, name), 8)[1], parts.free_gel())
 
 
 @cache
@@ -38,7 +38,7 @@ def _apart(found: Pose, true: Pose, first: Pose) -> tuple[float, float]:
 
 def _bank_pose(name: str) -> Pose:
     """Where the bank lies, from the first press, whose true pose is known."""
-    true = parts.poses(16)[0]
+    true = parts.poses(8)[0]
     return true.inverse().after(learnt(name).registered[0].pose)
 
 
