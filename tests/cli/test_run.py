@@ -146,7 +146,8 @@ def pressed(pressing: Path, tmp_path: Path) -> Path:
 def test_lines_that_cannot_be_printed_do_not_end_the_inspection(pressed: Path, output: str) -> None:
     """Every press is recorded and published, and nothing that is written is readable for every user."""
     out = os.open("/dev/full", os.O_WRONLY) if output == "a full disk" else closed_pipe()
-    (pressed.parent / "gelgate.db.tried").unlink()
+    if output == "a full disk":  # a trial of the bundle leaves a file too
+        (pressed.parent / "gelgate.db.tried").unlink()
     command = [GELGATE, "run", "--config", pressed]
     done = subprocess.run(command, stdout=out, stderr=subprocess.PIPE, text=True, cwd=pressed.parent)
     os.close(out)

@@ -20,7 +20,7 @@ from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.common.tile_layout import split
 from plugins.detectors.inreach import inreach
 
-CHANNELS, SIDE = 32, 56
+CHANNELS, SIDE = 16, 56
 FRAME = (4 * SIDE, 4 * SIDE)
 GRID = Grid(FRAME, {"layer1": (CHANNELS, SIDE, SIDE)}, 15.77)
 TILED = Grid((96, 128), {"layer1": (CHANNELS, 32, 48)}, 15.77, tiling((96, 128), 64, 32))

@@ -18,7 +18,7 @@ from plugins.detectors.fapm import fapm
 from plugins.detectors.spade import spade
 
 FRAME = (128, 128)
-TAPS = {"layer1": (32, 32, 32), "layer2": (48, 16, 16)}
+TAPS = {"layer1": (16, 32, 32), "layer2": (24, 16, 16)}
 GRID = Grid(FRAME, TAPS, 15.77)
 TILED = Grid((96, 128), {"layer1": (32, 32, 48)}, 15.77, tiling((96, 128), 64, 32))
 # The part touches the upper left; 1 mm around it counts as touched.

@@ -36,13 +36,13 @@ class Station:
             view = np.clip(np.rint(self.views[depth] + noise), 0, 255)
             self.events += self.tracker.feed(view, round(self.count * 1e9 / FPS), self.count)
 
-    def press(self, seconds: float = 1.0) -> None:
-        """Down over four depths, held, and up again, then two seconds of free gel."""
+    def press(self, seconds: float = 0.6) -> None:
+        """Down over four depths, held, and up again, then a second of free gel."""
         for depth in (4, 7, 9, 11):
             self.show(0.08, depth)
         self.show(seconds, 12)
         self.show(0.08, 7)
-        self.show(2.0, 0)
+        self.show(1.0, 0)
 
     def of(self, *kinds: type) -> list[object]:
         return [event for event in self.events if isinstance(event, kinds)]

@@ -371,7 +371,7 @@ def test_a_press_in_which_the_part_is_not_recognised_is_named() -> None:
 
 def test_one_damage_of_a_symmetric_part_fails_at_each_of_its_turns() -> None:
     """A bump too many or too few lies at one of four places that look the same: no turn hides it."""
-    symmetric = fitted(nominal(parts.anywhere(parts.ring(4), 8)[1]), "always")
+    symmetric = fitted(nominal(parts.anywhere(parts.ring(4), 6)[1]), "always")
     scorer = Scorer(symmetric.bundle())
     assert scorer.bundle.registration is not None
     assert scorer.bundle.registration.symmetry == 4
