@@ -48,5 +48,5 @@ def fitted(presses: NominalPresses, register: Register = "never", **changes: obj
 
 @cache
 def registered() -> Fitted:
-    """Learnt from 12 presses of a part that a hand put down."""
-    return fitted(nominal(parts.anywhere(parts.BLOCK, 12)[1]), "auto")
+    """Learnt from 14 presses of a part that a hand put down."""
+    return fitted(nominal(parts.anywhere(parts.BLOCK, 14)[1]), "auto")
