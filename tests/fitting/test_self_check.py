@@ -97,7 +97,7 @@ def evidence(spots: dict[int, float]) -> Evidence:
                 "finds 1 of 48 small pieces of damage rendered into its own presses (dent of 0.1 mm: 1 of 6): it"
             ],
         ),
-        (0.51, DamageFound(0, 48), ["0.51 is separated", "finds 0 of 48"]),
+        (0.51, DamageFound(0, 48), ["0.51 is separated", "finds 0 of 24"]),
     ],
 )
 def test_empty_evidence_is_said(separated: float | None, found: DamageFound | None, said: list[str]) -> None:
@@ -151,14 +151,14 @@ def test_a_remedy_is_said_with_what_it_finds_and_no_other_is() -> None:
 
 
 def test_a_bundle_that_misses_its_own_damage_says_so_first() -> None:
-    """Presses with blots larger than the damage rendered into them: 0 of 48 found; without blots no such warning."""
+    """Presses with blots larger than the damage rendered into them: 0 of 24 found; without blots no such warning."""
     frames = np.stack([parts.press(parts.BLOCK, seed=k) for k in range(12)])
     rng = np.random.default_rng(0)
     blots = np.stack([cv2.GaussianBlur(rng.normal(0, 540, frames.shape[1:3]), (0, 0), 6) for _ in frames])
     blotted = np.clip(frames + blots[..., None], 0, 255).astype(np.uint8)
     for pictures, is_proven in ((frames, True), (blotted, False)):
         first = fitted(nominal(pictures), "never").manifest.provenance.warnings[0]
-        assert ("not proven: the bundle finds 0 of 48" in first) is not is_proven
+        assert ("not proven: the bundle finds 0 of 24" in first) is not is_proven
 
 
 def test_a_bundle_into_whose_presses_no_damage_could_be_rendered_is_not_proven() -> None:
