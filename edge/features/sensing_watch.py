@@ -93,6 +93,11 @@ class SensingWatch(PressStage):
         self._unseen.append(act)
 
     def _sentence(self, sight: Sight, timestamp_ns: int) -> Sentence:
+        if sight.comes_and_goes:
+            return Sentence(
+                "the sensor's picture comes and goes, and presses are neither judged nor counted while it is gone: "
+                f"then {sight.lost}. Check its cable, its light and its gel"
+            )
         ago_ns = timestamp_ns - (sight.since_ns if sight.since_ns is not None else timestamp_ns)
         since = datetime.fromtimestamp((self._clock.time_ns() - ago_ns) / 1e9).astimezone()
         return Sentence(

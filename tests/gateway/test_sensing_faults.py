@@ -140,6 +140,9 @@ FAULTS = {
     "black": Fault(SOUND, "halted", "device", flat(0)),
     "white": Fault(SOUND, "halted", "device", flat(255)),
     "one colour": Fault(SOUND, "halted", "device", flat(120)),
+    "a third of the light": Fault(
+        SOUND, "halted", "device", lambda number, frame: (frame * 0.35).astype(np.uint8)
+    ),
     "broken in every JPEG": Fault(SOUND, "halted", "device", broken=garbled),
     "frozen": Fault(SOUND, "halted", "device", broken=lambda number, now, last: last),
     "frozen, with other bytes": Fault(

@@ -183,7 +183,7 @@ class PressDetector:
         except FrameCorrupt as error:
             self._count_corrupt(str(error), frame)
             return events, None
-        if not self.sight.see(view, frame.timestamp_ns):
+        if not self.sight.see(view, frame.timestamp_ns, self.tracker.light):
             self._count(f"frame {frame.sequence} does not show the gel")
             return events, None
         events += self._unseen_before(frame)

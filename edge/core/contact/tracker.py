@@ -23,6 +23,7 @@ from edge.core.contact.reference import GAIN_RANGE, Reference, View
 from edge.core.contact.relief import Relief, ReliefOfReference, with_relief
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import DEPTH_NOISE, Observation
+from edge.core.contact.sight import Light, measure_light
 from edge.core.contact.signals import ADDS_STRUCTURE, IDLE, LEARNING, PRESSED, WATCHED, Phase, Track, phase_of
 from edge.core.contact.table import State
 
@@ -91,6 +92,7 @@ class ContactTracker:
         self._is_lent = stored is None and witness is not None
         self.reference: Reference | None = None
         """The free gel as last learnt, or the stored one until then."""
+        self._light: Light | None = None
         self._structure: ReliefOfReference | None = None
         self._touched_then: float | None = None
         self._light_at_fit = None if witness is None else float(witness.view.mean())
@@ -122,6 +124,11 @@ class ContactTracker:
     def has_contact(self) -> bool:
         """True from `PressBegan` to `PressEnded`, and for a part that was there at the start."""
         return self._track.has_contact
+
+    @property
+    def light(self) -> Light | None:
+        """That of the free gel, once it was learnt here and is known to be one."""
+        return self._light if self._track.is_confirmed else None
 
     @property
     def phase(self) -> Phase:
@@ -206,6 +213,7 @@ class ContactTracker:
         """Forget the reference and learn a new one, as after a change of gel."""
         self._track, events = contact.relearn(self._track)
         self._refer_to(None)
+        self._light = None
         self.mask, self.touch, self.relief = None, None, None
         self._free_looks = self._newest_free = ()
         self._is_lent = False
@@ -319,6 +327,7 @@ class ContactTracker:
             case State.BASELINE, State.NO_CONTACT:
                 self._baseline.add(view, timestamp_ns)
                 self._refer_to(Reference(self._baseline.view()))
+                self._light = measure_light(self._baseline.view())
                 self._is_lent = False
                 self._baseline.clear()
         return self._refresh(view, timestamp_ns)
@@ -344,6 +353,7 @@ class ContactTracker:
             return []
         new = old.refresh(self._free.view(), self.settings.refresh_weight)
         self._refer_to(new)
+        self._light = measure_light(new.view)
         self._free.clear()
         return [ReferenceRefreshed(timestamp_ns, float(np.abs(new.view - old.view).mean()))]
 
