@@ -66,7 +66,9 @@ def regions(given: RegionsArguments) -> None:
         typer.echo(write_regions(drawn.regions if drawn else ()) or "no region is drawn")
         return
     if given.output is None or given.output.absolute() == given.bundle.absolute():
-        raise ConfigError("the new revision is written beside the bundle, never in its place; give --output")
+        raise ConfigError(
+            "the new revision is written beside the bundle, never in its place; give another place with --output"
+        )
     refuse_existing(given.output, given.overwrite)
     wanted = _change(given, old)
     fitted = draw_regions(given.bundle, wanted, _find_promise(given, old, wanted), given.threads)

@@ -255,7 +255,7 @@ def test_a_wrong_region_is_one_sentence_and_nothing_is_written(
 def test_the_bundle_itself_is_never_replaced(inspected: Judged) -> None:
     done = draw(inspected, inspected.old, "--add", DENT, "--overwrite")
     assert done.code == 3
-    assert "beside the bundle, never in its place" in done.sentence()
+    assert "beside the bundle, never in its place; give another place with --output" in done.sentence()
 
 
 SINGLE = """
