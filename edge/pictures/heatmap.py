@@ -20,8 +20,9 @@ FULL_SCALE: Final = 2.0
 """Score / threshold at the upper end of the colours, also for higher scores. The threshold is in the middle."""
 
 _COLOURS: Final = cv2.COLORMAP_INFERNO
-_CONTOUR: Final = (255, 255, 255)
-_CONTOUR_EDGE: Final = (0, 0, 0)
+# Of each colour.
+_CONTOUR: Final = 255
+_CONTOUR_EDGE: Final = 0
 
 
 def relative_scores(score_map: NDArray[np.floating], threshold: float) -> F32:
@@ -63,7 +64,6 @@ def paint_scores(relative: F32) -> U8:
 def draw_contour(rgb: U8, relative: F32) -> None:
     """Draw a white line with a dark edge around the areas above the threshold; their inside is unchanged."""
     above = (relative > 1.0).astype(np.uint8)
-    ring = cv2.dilate(above, np.ones((5, 5), np.uint8)) - cv2.dilate(above, np.ones((3, 3), np.uint8))
-    white = cv2.dilate(above, np.ones((3, 3), np.uint8)) - above
-    rgb[ring > 0] = _CONTOUR_EDGE
-    rgb[white > 0] = _CONTOUR
+    near, wide = (cv2.dilate(above, np.ones((side, side), np.uint8)) for side in (3, 5))
+    for mask, level in ((wide - near, _CONTOUR_EDGE), (near - above, _CONTOUR)):
+        cv2.copyTo(np.full_like(rgb, level), mask, rgb)  # in a tenth of the time of rgb[mask > 0] = level
