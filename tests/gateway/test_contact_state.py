@@ -11,6 +11,7 @@ from station import station_config, variant
 from stepped_station import SteppedStation
 
 from edge.core.contact.events import PressEnded
+from edge.core.contact.press_detector import GAP_S
 from edge.core.ports import Message
 from edge.features.contact_state import ContactWatch
 
@@ -70,6 +71,21 @@ def test_what_lasts_is_said_again(station: SteppedStation, said: list[dict[str, 
     for one, pause in zip(said, pauses, strict=False):
         assert pause < (2.2 if one["state"] in ("free", "unknown") else 0.42)
     assert len(said) < 1 + 7 * 3 + 5 * times[-1] / 1e9
+
+
+def test_frames_that_show_nothing_leave_it_unknown(
+    station: SteppedStation, said: list[dict[str, Any]]
+) -> None:
+    """Not between two frames: after a pause as long as an interruption."""
+    station.play_until(lambda: bool(said) and said[-1]["state"] == "lift")
+    watch = station.find(ContactWatch)
+    watch.turn(None)
+    assert said[-1]["state"] == "lift"
+    station.clock.sleep(GAP_S + 0.1)
+    assert watch._look is not None
+    watch.look(replace(watch._look, timestamp_ns=station.clock.monotonic_ns(), seen=None))
+    watch.turn(None)
+    assert said[-1]["state"] == "unknown"
 
 
 def test_a_station_ended_or_halted_says_nothing(station: SteppedStation, said: list[dict[str, Any]]) -> None:

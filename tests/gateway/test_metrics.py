@@ -9,6 +9,7 @@ from ports import free_port
 from station import Configure
 from stepped_station import SteppedStation
 
+from edge.core.errors import ConfigError
 from edge.features.metrics import METRICS, Metrics
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared
 from edge.messaging.payload_base import Payload
@@ -116,3 +117,9 @@ def test_a_page_of_others_and_slow_clients_are_no_readers(port: int) -> None:
         assert ask(port, "/metrics", Host="attacker.example")[0] == 403
         assert ask(port, "/")[0] == 404
         assert "process_open_fds" in ask(port, "/metrics")[1].decode()
+
+
+def test_without_its_package_it_names_the_extra(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("edge.extras.is_installed", lambda package: package != "prometheus_client")
+    with pytest.raises(ConfigError, match=r"metrics.port needs prometheus_client.*'gelgate\[metrics\]'"):
+        Metrics().serve(port)
