@@ -243,6 +243,7 @@ def test_the_owner_thread_switches_and_ends() -> None:
     bench.driver.start()
     wait_until(lambda: bench.relay.openings == 1)
     bench.driver.show(READY)
+    wait_until(lambda: (4, True) in bench.switched())
     bench.driver.close()
 
     assert bench.faults == []
