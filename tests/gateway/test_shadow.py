@@ -242,7 +242,7 @@ def test_a_shadow_that_is_worse_is_refused_with_the_presses(
 
 
 def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
-    shadowed: Shadowed, tmp_path: Path, bundle: Path
+    shadowed: Shadowed, tmp_path: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Four of it that people call good, judged from the archive; with three, and on a gel on which the bundle in use
     is proven, it waits for 100 presses. Damage that people named stands in its way as ever, and is asked for again."""
@@ -279,6 +279,10 @@ def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
         asked = [one["press_id"] for one in later.said("questions")["presses"]]
     with SteppedStation(shadowed(bundle, learnt("four", four, FIVE))) as last:
         last.play_presses(1)
+        with monkeypatch.context() as proven_gel:
+            proven_gel.setattr("edge.features.shadow.unproven_since", lambda connection, key: None)
+            with pytest.raises(ValueError, match="both have judged 2 presses, at least 100 are needed"):
+                adopt(last)
         adopt(last)
         assert last.parts.selection.inspector.bundle.manifest.revision == 2
 
