@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from edge.core.arrays import F32, F64, U8, Mask
-from edge.core.contact.mask import highest, imprint_strength, squared_distance, touched_mask
+from edge.core.contact.mask import imprint_strength, largest_colour, squared_distance, touched_mask
 from edge.core.contact.reference import Reference, View, fit_levels
 from edge.core.contact.relief import fine_structure
 from edge.core.contact.settings import ContactSettings
@@ -39,7 +39,7 @@ def find_common_dots(pictures: Sequence[U8], pixels_per_mm: float) -> MarkerDots
     """
     rows = np.linspace(0, len(pictures) - 1, min(len(pictures), _WITNESSES)).round().astype(int)
     some = [pictures[k] for k in rows]
-    if float(np.median([highest(rgb) - ~highest(~rgb) for rgb in some])) < _LEAST_COLOUR:
+    if float(np.median([largest_colour(rgb) - ~largest_colour(~rgb) for rgb in some])) < _LEAST_COLOUR:
         return None
     found = [dots for rgb in some if (dots := find_marker_dots(rgb, pixels_per_mm)) is not None]
     sizes = np.array([(dots.apart_px, dots.width_px) for dots in found])
