@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 import pytest
 from lit_surface import MM_PER_PX, calibration, free_gel, grid, light, other_gel
@@ -55,6 +56,8 @@ def test_surfaces_come_back(name: str, noise: float) -> None:
     assert found.heights_mm.max() == pytest.approx(surface.max(), rel=0.04)
     assert np.isfinite(found.heights_mm).all()
     assert (np.abs(error) <= found.u95_mm).mean() > 0.95
+    away_mm = cv2.distanceTransform((~found.touched).astype(np.uint8), cv2.DIST_L2, 5) * MM_PER_PX
+    assert away_mm[found.free].min() == pytest.approx(1.5, abs=0.1)  # it is lifted around a touch
 
 
 def test_the_light_of_another_day_changes_no_height() -> None:
