@@ -32,7 +32,7 @@ from edge.core.contact.events import (
 from edge.core.contact.rules import gap, relearn, step, trigger
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import Observation
-from edge.core.contact.signals import Track, phase_of
+from edge.core.contact.signals import Track, is_touch, phase_of
 from edge.core.contact.table import TABLE, Signal, State, table_markdown
 
 EXTERNAL = ContactSettings(is_external=True)
@@ -249,6 +249,13 @@ def test_residue_neither_holds_a_press_open_nor_begins_one(name: str) -> None:
     assert [event.timestamp_ns for event in events if isinstance(event, PressBegan)][1] >= (
         40 + begins * 40
     ) * MS
+
+
+@pytest.mark.parametrize(("relief", "is_press"), [(0.033, False), (0.035, True)])
+def test_relief_that_a_press_has_left_begins_no_other(relief: float, is_press: bool) -> None:
+    """It fades for seconds: a press is a hundredth of the view more than a fifth above it."""
+    left = replace(free(), relief_residue=0.02)
+    assert is_touch(left, light(40, relief), RULES) == is_press
 
 
 def test_time_must_rise() -> None:
