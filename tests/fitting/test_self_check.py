@@ -97,7 +97,7 @@ def evidence(spots: dict[int, float]) -> Evidence:
                 "finds 1 of 48 small pieces of damage rendered into its own presses (dent of 0.1 mm: 1 of 6): it"
             ],
         ),
-        (0.51, DamageFound(0, 48), ["0.51 is separated", "finds 0 of 24"]),
+        (0.51, DamageFound(0, 48), ["0.51 is separated", "finds 0 of 48"]),
     ],
 )
 def test_empty_evidence_is_said(separated: float | None, found: DamageFound | None, said: list[str]) -> None:
