@@ -1,6 +1,7 @@
 """`make sim`: runs of the station in a simulated world; the table of what was tried, and each failure, shrunk."""
 
 import argparse
+import gc
 import logging
 import multiprocessing
 import shutil
@@ -141,6 +142,8 @@ def _plays(job: int, given: argparse.Namespace, bundles: Sequence[Path], folder:
     """Play every job-th seed; a failure is printed."""
     logging.disable(logging.CRITICAL)
     cv2.setNumThreads(1)
+    gc.collect()
+    gc.freeze()  # each run asks what is in memory, which is not what was there before
     begun, begun_processor = time.perf_counter(), time.process_time()
     seeds = (
         range(given.seed + job, given.seed + given.runs, given.jobs)

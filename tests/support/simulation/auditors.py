@@ -15,7 +15,14 @@ from edge.store.press_archive import ArchiveFolder
 from simulation.alarms import audit_alarms, is_sensor_lost
 from simulation.auditors_brokers import audit_availability, audit_levels
 from simulation.auditors_contact import audit_contact, audit_lifts, audit_overloads
-from simulation.auditors_outbox import ARCHIVED, audit_archive, audit_file, audit_full_outbox, audit_memory
+from simulation.auditors_outbox import (
+    ARCHIVED,
+    audit_archive,
+    audit_file,
+    audit_full_outbox,
+    audit_kept,
+    audit_memory,
+)
 from simulation.auditors_outputs import audit_lamp, audit_outputs
 from simulation.auditors_pieces import audit_piece_lamp, audit_pieces
 from simulation.auditors_plc import audit_answers, audit_plcs, may_be_other_part
@@ -91,6 +98,7 @@ def audit_now(world: World, station: Station) -> Iterator[str]:
     before_ns = now_ns - world.sensor.period_ns
     if now_ns // S != before_ns // S:
         yield from audit_full_outbox(world, station)
+        yield from audit_kept(world, station)
     if now_ns // (5 * S) != before_ns // (5 * S):
         yield from () if station.is_disk_disturbed else audit_outbox(station)
 

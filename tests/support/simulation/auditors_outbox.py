@@ -18,6 +18,9 @@ WORTH = {"picture": 0, "pass": 1, "fail": 2}
 ARCHIVED = 8
 """So many presses are kept in the archive, rejected ones among them."""
 
+MADE_FROM = ("frame", "reference", "score_map", "machine", "masked")
+"""The objects that a record of the archive names."""
+
 MOST_HELD = 8
 """Frames and presses in memory when none waits: the newest ones."""
 
@@ -105,6 +108,22 @@ def audit_archive(station: Station) -> Iterator[str]:
     ]
     if left and not station.disk.full_since_ns:
         yield f"the archive has {len(left)} files that no press needs"
+
+
+def audit_kept(world: World, station: Station) -> Iterator[str]:
+    """A press of the archive has all that it was made from, also what it shares with others; but for what was lost with
+    the power (docs/security.md)."""
+    folder = station.disk.folder / "gelgate.archive"
+    objects, was_cut = folder / "objects", world.lacks_files_ns > world.clock.now_ns
+    if was_cut or not objects.is_dir() or objects.stat().st_mtime_ns == station.archive_ns:
+        return
+    station.archive_ns = objects.stat().st_mtime_ns
+    there = {path.name for path in objects.iterdir()}
+    for path in (folder / "presses").glob("[!.]*.json"):
+        record = json.loads(path.read_bytes())
+        lacking = [name for name in MADE_FROM if record[name] and record[name] not in there]
+        if lacking:
+            yield f"press {path.stem} is in the archive, and its {', '.join(lacking)} is not"
 
 
 def audit_memory(world: World) -> Iterator[str]:

@@ -104,7 +104,8 @@ class Chosen:
         """Draw. Most kinds of fault are left out of a run, so that others meet alone; seeds that follow each other have
         every meeting. A PLC is always disturbed, and met by a second one."""
         rng = random.Random(f"{seed} chosen")
-        rates = {name: rng.choice((1.0, 4.0)) for name in names if rng.random() < 0.1}
+        drawn = [name for name in names if name != "begin piece"]  # only beside a PLC that begins pieces too
+        rates = {name: rng.choice((1.0, 4.0)) for name in drawn if rng.random() < 0.1}
         trigger, plc, piece = WORK[seed % len(WORK)]
         chosen = cls(
             rng.choice((1, 2)),
@@ -127,6 +128,8 @@ class Chosen:
         rates["request"] = 4.0
         if not chosen.piece:
             rates["select part"] = 4.0
+        elif chosen.plc:
+            rates["begin piece"] = 4.0
         if is_small(chosen.outbox_mb):  # it is filled, and then the station begins anew
             rates |= dict.fromkeys(("hang up", "stop"), 4.0)
         disturbed = {"second plc": 1.0, **rates, "plc": 4.0}

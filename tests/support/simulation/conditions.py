@@ -34,6 +34,8 @@ SOMETIMES = (
     "the wall clock drifts",
     "the gel was replaced while the disk was full",
     "a part that nobody saw put down lay there",
+    "a part lay there before and after a time without sight",
+    "a person began another piece than the PLC",
     "a part change came as a press began, or after its verdict",
     "restarted while the disk was full",
     "a start failed, and the next one did not",

@@ -20,7 +20,18 @@ if TYPE_CHECKING:
 WAITS_S = 4
 """A broker is away for so long, and then a result waits for it."""
 
+LONG_S = 3
+"""Nobody holds a part for so long until it is seen again."""
+
 # The sensor
+
+
+def _let_lie(run: "Simulation", rng: random.Random, lasts_s: float) -> None:
+    """Mostly let a part that is pressed now lie until it has been seen again for a while."""
+    hand = run.world.hand
+    if lasts_s < LONG_S and hand.press is not None and hand.is_down and rng.random() < 0.7:
+        hand.hold(lasts_s + 1)
+        run.reach("a part lay there before and after a time without sight")
 
 
 def unplug(run: "Simulation", rng: random.Random) -> float:
@@ -38,6 +49,7 @@ def unplug(run: "Simulation", rng: random.Random) -> float:
     name = "another sensor" if is_other else "sensor unplugged"
     # Another one that is gone at once was not opened.
     lasts_s = rng.choice((12, 2, 12) if is_other else (0.2, 2, 12))
+    _let_lie(run, rng, lasts_s)
     return run.for_a_while(name, lasts_s, plug, is_sensors=True)
 
 
@@ -47,6 +59,7 @@ def silence(run: "Simulation", rng: random.Random) -> float:
     lasts_s, is_held = rng.choice((0.3, 1.5, 6, 9)), rng.random() < 0.7
     if is_held and hand.is_pressing_soon:
         lasts_s, hand.has_dented = hand.free_s + 0.4, True
+    _let_lie(run, rng, lasts_s)
     sensor.is_silent = True
 
     def speak() -> None:
@@ -130,7 +143,8 @@ def hang_up(run: "Simulation", rng: random.Random) -> float:
     broker.go("away" if mood == "restarts without memory" else mood)
     if mood == "restarts without memory":
         broker.retained.clear()
-    lasts_s = rng.choice((1, 4, 8, 20)) * (4 if is_small(run.chosen.outbox_mb) else 1)
+    times_s = (8, 8, 20, 20) if run.is_full_and_away else (1, 4, 8, 20)
+    lasts_s = rng.choice(times_s) * (4 if is_small(run.chosen.outbox_mb) else 1)
     return run.for_a_while(f"{broker.name} {broker.mood}", lasts_s, broker.mend)
 
 
@@ -273,6 +287,7 @@ def freeze(run: "Simulation", rng: random.Random) -> float:
         if run.world.relay.well_since_ns > began_ns:
             run.world.relay.well_since_ns = run.world.clock.now_ns
 
+    _let_lie(run, rng, lasts_s)
     run.freeze(lasts_s)
     return run.for_a_while("process frozen", lasts_s, go_on, is_sensors=True)
 
@@ -386,6 +401,18 @@ def _is_pressed_unjudged(run: "Simulation") -> bool:
     return press is not None and is_noticed and not (seen and seen[-1].noted_ns > press.begin_ns)
 
 
+def _is_pressed_judged(run: "Simulation") -> bool:
+    """A part lies on the gel, and its press has a verdict."""
+    hand, seen = run.world.hand, run.station.seen
+    is_judged = hand.press is not None and bool(seen) and seen[-1].noted_ns > hand.press.begin_ns
+    return is_judged and hand.is_down
+
+
+def _is_piece_asked_for(run: "Simulation") -> bool:
+    """A trigger names a piece, and its press has not begun."""
+    return run.world.hand.press is None and any(plc.waits_for_piece for plc in run.world.plcs)
+
+
 def _is_part_asked_for(run: "Simulation") -> bool:
     """A trigger names a part, and its press has not begun."""
     return run.world.hand.press is None and any(plc.waits_for_part for plc in run.world.plcs)
@@ -398,7 +425,7 @@ def _is_pass_shown(run: "Simulation") -> bool:
 def _is_press_waiting(run: "Simulation") -> bool:
     """A press that has ended is not recorded, for the disk is full."""
     press = run.world.hand.presses[-1] if run.world.hand.presses else None
-    has_begun = press is not None and press.begin_ns > run.station.disk.full_since_ns + S // 2
+    has_begun = press is not None and press.begin_ns > run.station.disk.full_since_ns
     return run.station.loop.is_halted and has_begun and 0 < press.end_ns < run.world.clock.now_ns - 2 * S
 
 
@@ -410,9 +437,9 @@ def _is_loss_unread(run: "Simulation") -> bool:
 
 def _is_press_unrecorded(run: "Simulation") -> bool:
     """A press has no row: it waits for room on the disk, or its verdict comes next."""
-    if run.is_full_and_away:
-        return is_held_up(run)
-    return _is_press_waiting(run) if run.station.disk.is_full else _is_pressed_unjudged(run)
+    is_full = run.station.disk.is_full or "fill disk" in run.meeting
+    is_unsent = "hang up" not in run.meeting or _is_result_unsent(run)
+    return _is_press_waiting(run) and is_unsent if is_full else _is_pressed_unjudged(run)
 
 
 def is_held_up(run: "Simulation") -> bool:
@@ -444,11 +471,13 @@ MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
     "silence": lambda run: run.world.hand.is_pressing_soon,
     "blind": _is_pass_shown,
     "hold back": _is_pressed_unjudged,
-    "fill disk": lambda run: "hang up" not in run.chosen.faults or _is_result_unsent(run),
+    "fill disk": lambda run: "hang up" not in run.meeting or _is_result_unsent(run),
+    "unplug": _is_pressed_judged,
+    "begin piece": _is_piece_asked_for,
 }
 """When a fault does most harm: every other one waits for it."""
 
-WAIT_FIRST = {"step clock", "silence", "blind", "hold back"}
+WAIT_FIRST = {"step clock", "silence", "blind", "hold back", "unplug", "begin piece"}
 """Faults whose first one waits; of others a draw says whether it does."""
 
 NEEDS_ANSWER = {"stop", "lose database", "freeze", *PEOPLE}

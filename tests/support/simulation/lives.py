@@ -110,6 +110,8 @@ class Station:
         """Rows of the outbox as last looked at: what each is (`picture`, `pass`, `fail`), and its press."""
         self.filled: dict[str, dict[str, tuple[str, str]]] = {}
         """The word and the press of each place of a piece, as the database that is there knows it."""
+        self.archive_ns = 0
+        """When objects of the archive came or went last, as last looked at."""
         self.has_lost_pieces = False
         """A database was removed, so an id may be used again."""
         self._asked = 0
@@ -232,7 +234,7 @@ class Station:
     def rows(self) -> list[Row]:
         """Id, verdict, part and gel of each row that there ever was, in order."""
         path = self.disk.folder / "gelgate.db"
-        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
+        with self.disk.sparing(), closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
             # There is no table where the power was cut and nothing of the file was synced.
             is_there = connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'presses'").fetchone()
             query = "SELECT press_id, verdict, part, gel_id FROM presses WHERE serial = ? ORDER BY number"

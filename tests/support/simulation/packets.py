@@ -44,17 +44,11 @@ class Publish:
 def take_packets(data: bytearray) -> Iterator[tuple[int, bytes]]:
     """Take the whole packets off the begin: the first byte, and what follows the length."""
     while len(data) > 1:
-        length, at = 0, 1
-        while at < len(data) and data[at] & 0x80:
-            length |= (data[at] & 0x7F) << 7 * (at - 1)
-            at += 1
-        if at >= len(data):
+        length, at = _length(data, 1)
+        end = at + length
+        if at > len(data) or end > len(data):
             return
-        length |= data[at] << 7 * (at - 1)
-        end = at + 1 + length
-        if end > len(data):
-            return
-        first, body = data[0], bytes(data[at + 1 : end])
+        first, body = data[0], bytes(data[at:end])
         del data[:end]
         yield first, body
 
@@ -63,12 +57,12 @@ def read_connect(body: bytes) -> Connect:
     """Read a CONNECT."""
     level, flags, at = ("5" if body[6] == 5 else "3.1.1"), body[7], 10
     if level == "5":
-        at += _skip(body, at, PacketTypes.CONNECT)
+        at = _skip(body, at)
     client_id, at = _field(body, at)
     will = None
     if flags & 0x04:
         if level == "5":
-            at += _skip(body, at, PacketTypes.WILLMESSAGE)
+            at = _skip(body, at)
         topic, at = _field(body, at)
         payload, at = _field(body, at)
         will = Message(topic.decode(), payload, flags >> 3 & 3, bool(flags & 0x20))
@@ -82,7 +76,7 @@ def read_publish(first: int, body: bytes, level: str) -> Publish:
     if qos:
         number, at = int.from_bytes(body[at : at + 2], "big"), at + 2
     if level == "5":
-        at += _skip(body, at, PacketTypes.PUBLISH)
+        at = _skip(body, at)
     return Publish(Message(topic.decode(), body[at:], qos, bool(first & 1)), number)
 
 
@@ -130,7 +124,18 @@ def _field(body: bytes, at: int) -> tuple[bytes, int]:
     return body[at + 2 : end], end
 
 
-def _skip(body: bytes, at: int, kind: int) -> int:
-    """The length of the properties, of which a broker here needs none."""
-    _, length = Properties(kind).unpack(body[at:])  # type: ignore[no-untyped-call]
-    return int(length)
+def _length(data: bytes | bytearray, at: int) -> tuple[int, int]:
+    """Read a length, low digits first; returns it, and where what follows begins: behind the end where it is cut."""
+    length = shift = 0
+    while at < len(data):
+        length |= (data[at] & 0x7F) << shift
+        if not data[at] & 0x80:
+            return length, at + 1
+        at, shift = at + 1, shift + 7
+    return length, at + 1
+
+
+def _skip(body: bytes, at: int) -> int:
+    """Go past the properties, of which a broker here needs none."""
+    length, at = _length(body, at)
+    return at + length

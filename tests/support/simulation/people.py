@@ -59,6 +59,28 @@ def select_part(run: "Simulation", rng: random.Random) -> float:
     return 0.0
 
 
+def begin_piece(run: "Simulation", rng: random.Random) -> float:
+    """A person begins a piece beside the PLC, whose trigger may have named another one."""
+    now_ns, pieces = run.world.clock.now_ns, run.world.pieces
+    if not (run.world.has_pieces and run.world.has_plc):
+        return 60.0
+    name = f"piece by hand {run.run.counted['begin piece']}"
+    try:
+        run.station.ask("begin_piece", piece_id=name)
+    except ValueError:  # something presses, or waits to be recorded
+        return 0.5
+    except GelgateError:  # the commit may have been made
+        pieces.forget(now_ns)
+        return 0.5
+    pieces.select(now_ns, name)
+    if run.station.disk.is_dead:
+        pieces.forget(now_ns)
+    if any(plc.waits_for_piece for plc in run.world.plcs):
+        run.reach("a person began another piece than the PLC")
+    run.note(f"{name} is begun")
+    return 0.0
+
+
 def reload(run: "Simulation", rng: random.Random) -> float:
     """A command opens the bundles again."""
     run.station.ask("reload")
@@ -106,6 +128,7 @@ def acknowledge(run: "Simulation", rng: random.Random) -> float:
 PEOPLE: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "replace gel": replace_gel,
     "select part": select_part,
+    "begin piece": begin_piece,
     "reload": reload,
     "request": request,
     "acknowledge": acknowledge,

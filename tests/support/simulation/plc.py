@@ -179,6 +179,12 @@ class Plc:
         return self._step == "wait" and self.asked[self._id].part is not None and is_heard
 
     @property
+    def waits_for_piece(self) -> bool:
+        """It waits for the press of a piece that it has named, and that is begun by now."""
+        is_heard = self._clock.now_ns - self._since_ns > HEARD_S * S
+        return self._step == "wait" and self.asked[self._id].piece != "" and is_heard
+
+    @property
     def has_just_asked(self) -> bool:
         """The station may not have done yet what its trigger asks for."""
         sent_ns = self.asked[self._id].sent_ns if self._id in self.asked else 0

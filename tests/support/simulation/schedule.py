@@ -217,17 +217,24 @@ class Simulation:
         return max(by_presses, self.world.clock.now_ns // (TURN_S * S))
 
     @property
+    def meeting(self) -> tuple[str, ...]:
+        """The faults whose turn it is."""
+        meetings, turn = self.chosen.meetings, self._turn_of_meetings
+        return meetings[turn] if turn < len(meetings) else ()
+
+    @property
     def is_full_and_away(self) -> bool:
         """A full disk and a broker that is away meet now; and a kill waits for both."""
-        meetings, turn = self.chosen.meetings, self._turn_of_meetings
-        return turn < len(meetings) and {"fill disk", "hang up"} <= set(meetings[turn])
+        return {"fill disk", "hang up"} <= set(self.meeting)
 
     def _drawn(self, name: str, rate: float, turn: int | None, rng: random.Random) -> float:
         if turn not in (None, self._turn_of_meetings):
             return 0.5
         if "process frozen" in self.ending and name in NEEDS_ANSWER:  # nobody answers
             return 0.1
-        is_aimed = name in self._aimed or (turn is not None and self.is_full_and_away and name in MOMENTS)
+        is_aimed = name in self._aimed or (
+            turn is not None and "fill disk" in self.meeting and name in MOMENTS
+        )
         if is_aimed and rng.random() < PATIENCE and not MOMENTS[name](self):
             return 0.1
         self._aimed ^= {name} & set(MOMENTS)
@@ -321,7 +328,7 @@ class Simulation:
         (docs/operations.md)."""
         disk, now_ns = self.station.disk, self.world.clock.now_ns
         for press in self.world.hand.presses:
-            is_waiting = press.begin_ns > disk.full_since_ns + S // 2 and 0 < press.end_ns < now_ns - 2 * S
+            is_waiting = press.begin_ns > disk.full_since_ns and 0 < press.end_ns < now_ns - 2 * S
             press.must_count |= is_waiting and not press.why - {"the station said 'halted'"}
         self.world.sensor.disturb("it waited for room", (now_ns - disk.full_since_ns) / S + 2)
         # The count that waits for a broker is corrected at the next start, and then the broker comes back.
