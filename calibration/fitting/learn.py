@@ -28,7 +28,7 @@ from edge.core.part_position import PartPosition
 from edge.core.person_verdict import PersonVerdict, settle
 from edge.core.press import Press
 from edge.core.shadow import LEAST_ON_NEW_GEL
-from edge.features.black_box.replay import judge_again
+from edge.features.black_box.replay import judge_as_then
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
@@ -348,8 +348,8 @@ def judge_presses(
     archive, judged = ArchiveFolder(database.with_suffix(".archive")), dict[str, Press]()
     inspector = Inspector(Scorer(bundle, threads), SystemClock())
     for one in (*presses.good, *presses.damaged):
-        judged[one.press.press_id] = judge_again(one.press, archive, inspector).now.drop_pictures()
+        judged[one.press.press_id] = judge_as_then(one.press, archive, inspector).drop_pictures()
     for press in presses.others:
         with suppress(ArchiveError):  # a running station removes the oldest ones meanwhile
-            judged[press.press_id] = judge_again(press, archive, inspector).now.drop_pictures()
+            judged[press.press_id] = judge_as_then(press, archive, inspector).drop_pictures()
     return judged

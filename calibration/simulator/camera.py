@@ -26,6 +26,7 @@ __all__ = [
     "lens_falloff",
     "motion_blur",
     "noise",
+    "noise_spread",
     "quantise",
     "vignette",
 ]
@@ -138,26 +139,37 @@ def _normal_quantiles() -> F32:
     return np.concatenate([-upper[::-1], upper])
 
 
-def noise(planes: F32, rng: np.random.Generator, noise_sd: tuple[float, float, float] = NOISE_SD) -> F32:
+def noise(planes: F32, rng: np.random.Generator, spread: F32) -> F32:
     """The planes with the sensor's noise: a fixed part and a part that grows with the root of the light.
 
-    noise_sd: of red, green and blue in grey levels, where the light is 100. Each value is looked up from
-    16 random bits in a table of quantiles: three times as fast as an exact draw.
+    spread: of `noise_spread`. Each value is looked up from 16 random bits in a table of quantiles: several times as
+    fast as an exact draw.
     """
-    bits = np.frombuffer(rng.bytes(2 * planes.size), dtype="<u2").reshape(planes.shape)
-    quantiles = _normal_quantiles()
-    for plane, sd, which in zip(planes, noise_sd, bits, strict=True):
-        half = 0.5 * sd * sd
-        spread = cv2.sqrt(np.maximum(plane, 0) * np.float32(half / NOISE_LEVEL) + np.float32(half))
-        spread *= quantiles[which]
-        plane += spread
+    # The bits of rng.bytes, eight times as fast.
+    drawn = np.asarray(rng.bit_generator.random_raw(math.ceil(planes.size / 4)), dtype="<u8")
+    bits, quantiles = drawn.view("<u2")[: planes.size].reshape(planes.shape), _normal_quantiles()
+    for plane, sd, which in zip(planes, spread, bits, strict=True):
+        values = quantiles.take(which, mode="wrap")  # nothing to wrap: the mode that copies no indices
+        values *= sd
+        plane += values
     return planes
+
+
+def noise_spread(planes: F32, noise_sd: tuple[float, float, float] = NOISE_SD) -> F32:
+    """The sd of the sensor's noise at each value, float32 (3, h, w). noise_sd: where the light is 100."""
+    spread = np.maximum(planes, 0)
+    for plane, sd in zip(spread, noise_sd, strict=True):
+        half = 0.5 * sd * sd
+        plane *= np.float32(half / NOISE_LEVEL)
+        plane += np.float32(half)
+    return np.sqrt(spread, out=spread)
 
 
 def quantise(planes: F32) -> U8:
     """Whole grey levels, uint8 (h, w, 3), rounded and held to 0 to 255."""
-    merged = cv2.merge([np.ascontiguousarray(plane) for plane in planes])
-    return np.asarray(np.clip(np.rint(merged), 0, 255).astype(np.uint8))
+    levels = np.rint(planes)
+    np.clip(levels, 0, 255, out=levels)
+    return np.asarray(cv2.merge(list(levels.astype(np.uint8))), np.uint8)
 
 
 def encode_jpeg(rgb: U8, quality: int, size: tuple[int, int] | None = None) -> bytes:

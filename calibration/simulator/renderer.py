@@ -4,11 +4,12 @@
     surface -> [illumination, shadows, specular, grain, markers] -> [vignette, lens blur] -> scene light     `light`
     light -> [motion blur, drift, noise] -> whole levels -> [JPEG] -> picture     `expose`
 
-`light` is the expensive part and does not change while a press holds still; `expose` differs from frame to frame.
+`light` is the expensive part and does not change while a press holds still; `expose` differs from frame to frame, and
+`film` makes many frames of one light.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -128,19 +129,26 @@ class Renderer:
 
     def expose(self, planes: F32, key: Key, exposure: Exposure) -> U8:
         """Expose a frame of that light, uint8 (h, w, 3) RGB. `planes` is not changed."""
-        planes = planes.copy()
         if "motion_blur" in self._on:
             velocity = exposure.velocity_mm_s
             if velocity is None:
                 across, down = self.streams("motion_blur", *key).normal(0, _UNSETTLED_MM_S / 2**0.5, 2)
                 velocity = (float(across), float(down))
-            planes = camera.motion_blur(planes, velocity, self.field)
+            planes = camera.motion_blur(planes.copy(), velocity, self.field)
+        return next(self.film(planes, (key,), exposure))
+
+    def film(self, planes: F32, keys: Iterable[Key], exposure: Exposure) -> Iterator[U8]:
+        """Expose a frame for each key, while neither the gel nor the light changes, as `expose` does."""
+        planes = planes.copy()
         if "led_drift" in self._on:
             planes = camera.led_drift(planes, exposure.time_s, self.streams("led_drift", self.session))
-        if "noise" in self._on:
-            planes = camera.noise(planes, self.streams("noise", *key, exposure.frame), self.sensor.noise_sd)
-        rgb = camera.quantise(planes)
-        return camera.jpeg(rgb) if "jpeg" in self._on else rgb
+        spread = camera.noise_spread(planes, self.sensor.noise_sd) if "noise" in self._on else None
+        for key in keys:
+            shown = planes
+            if spread is not None:
+                shown = camera.noise(planes.copy(), self.streams("noise", *key, exposure.frame), spread)
+            rgb = camera.quantise(shown)
+            yield camera.jpeg(rgb) if "jpeg" in self._on else rgb
 
     def press(
         self,

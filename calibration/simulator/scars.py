@@ -6,7 +6,7 @@ Sizes are assumed, from what shows on public pictures of used gels; heights are 
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -45,21 +45,25 @@ class Scar:
     def relief(self, field: Field) -> F32:
         """Return the relief at full strength, in mm, float32 (h, w); nothing for worn coat."""
         return np.asarray(
-            self._pattern(field) * np.float32(SCARS[self.kind].sign * self.strength), np.float32
+            _pattern(self, field) * np.float32(SCARS[self.kind].sign * self.strength), np.float32
         )
 
     def coat(self, field: Field) -> F32:
         """The share of light that is left at full strength, float32 (h, w)."""
         if SCARS[self.kind].sign:
             return np.ones(field.shape, np.float32)
-        return np.asarray(1 - np.float32(self.strength) * self._pattern(field), np.float32)
+        return np.asarray(1 - np.float32(self.strength) * _pattern(self, field), np.float32)
 
-    def _pattern(self, field: Field) -> F32:
-        """Return the scar's shape from 0 to 1, float32 (h, w)."""
-        x, y = grids(field)
-        dx, dy = x - np.float32(self.at_mm[0]), y - np.float32(self.at_mm[1])
-        cos, sin = np.float32(math.cos(self.turn_rad)), np.float32(math.sin(self.turn_rad))
-        return SCARS[self.kind].pattern(cos * dx + sin * dy, cos * dy - sin * dx, self)
+
+@lru_cache(maxsize=64)  # more than a gel has; a press shows all of its gel's three times
+def _pattern(scar: Scar, field: Field) -> F32:
+    """Return a scar's shape from 0 to 1, float32 (h, w), read-only."""
+    x, y = grids(field)
+    dx, dy = x - np.float32(scar.at_mm[0]), y - np.float32(scar.at_mm[1])
+    cos, sin = np.float32(math.cos(scar.turn_rad)), np.float32(math.sin(scar.turn_rad))
+    pattern = SCARS[scar.kind].pattern(cos * dx + sin * dy, cos * dy - sin * dx, scar)
+    pattern.setflags(write=False)
+    return pattern
 
 
 def _line(along: F32, across: F32, scar: Scar, half_width_mm: float, bend: float) -> F32:

@@ -254,7 +254,7 @@ class Shadow(PressStage):
     ) -> tuple[list[JudgedTwice], list[str]]:
         """Judge presses of before the shadow from the archive; return what damage is gone as sentences. failed_by: of
         good ones only those that this bundle did not pass."""
-        from edge.features.black_box.replay import judge_again  # few stations have such damage
+        from edge.features.black_box.replay import judge_as_then  # few stations have such damage
 
         archive = ArchiveFolder(self._store.path.with_suffix(".archive"))
         inspector: Inspector | None = None
@@ -267,7 +267,7 @@ class Shadow(PressStage):
                     continue
                 # The loop scores with the other one.
                 inspector = inspector or Inspector(shadow.scorer.copy(), self._clock)
-                now = judge_again(press, archive, inspector).now
+                now = judge_as_then(press, archive, inspector)
                 words = one.saying, one.was_damaged
                 judged.append(JudgedTwice(one.press_id, one.verdict, now.word, *words))
             except ArchiveError as error:

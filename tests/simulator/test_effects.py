@@ -139,6 +139,11 @@ def test_neighbouring_frames_differ_by_noise_alone() -> None:
     difference = np.abs(first - second)
     assert 0.5 < difference.mean() < 4
     assert difference.max() < 30
+    filmed = renderer.film(light, (KEY, ("another", 1)), Exposure(1, 100.0, (0.0, 0.0)))
+    assert np.array_equal(next(filmed), second)
+    assert np.array_equal(
+        next(filmed), renderer.expose(light, ("another", 1), Exposure(1, 100.0, (0.0, 0.0)))
+    )
 
 
 def test_pose_jitter_has_the_given_size() -> None:

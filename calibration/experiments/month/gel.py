@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from itertools import islice
 from typing import Final
 
 import cv2
@@ -14,7 +15,7 @@ from calibration.simulator.effects import DEFAULT_EFFECTS
 from calibration.simulator.field_of_view import LR
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import HeightField, Pose, sample
-from calibration.simulator.renderer import Exposure, Renderer
+from calibration.simulator.renderer import Exposure, Key, Renderer
 from calibration.simulator.scars import Scar, mark_gel
 from calibration.simulator.sensor_appearance import SENSORS, another_gel
 from edge.core.arrays import F32, U8
@@ -71,20 +72,18 @@ class MountedGel:
         scars = self.month.scars(press, self.since)
         half = self._renderer.imprint(height, _HALF * depth_mm)
         whole = self._renderer.imprint(height, depth_mm)
-        moving = self._light(half, press, scars)
-        held = self._light(whole, press, scars)
-        yield self._expose(moving, press.light, press.number)
-        for _ in range(_HELD):
-            yield self._expose(held, press.light, press.number)
-        yield self._expose(moving, press.light, press.number)
+        moving = self._film(self._light(half, press, scars), press)
+        held = self._film(self._light(whole, press, scars), press)
+        yield next(moving)
+        yield from islice(held, _HELD)
+        yield next(moving)
         self._left = whole
 
     def free(self, press: PlannedPress, seconds: float) -> Iterator[bytes]:
         """Yield frames of the free gel, with what the last press has left. press: of the moment."""
         flat = np.zeros(LR.shape, np.float32)
         light = self._light(flat, press, self.month.scars(press, self.since), self._left)
-        for _ in range(max(3, round(seconds / FRAME_S))):
-            yield self._expose(light, press.light, press.number)
+        yield from islice(self._film(light, press), max(3, round(seconds / FRAME_S)))
 
     def is_marked(self, press: PlannedPress) -> bool:
         """Tell whether dust lies where the piece touches."""
@@ -124,9 +123,14 @@ class MountedGel:
         marked, coat = mark_gel(surface, (*scars, *((one, 1.0) for one in self.specks)), LR)
         return np.asarray(self._renderer.light(marked, age) * coat, np.float32)
 
-    def _expose(self, light: F32, share: float, number: int) -> bytes:
-        self._frame += 1
-        rgb = self._renderer.expose(
-            light * np.float32(share), ("frame", number, self._frame), Exposure(0, _POWERED_S, (0.0, 0.0))
-        )
-        return encode_jpeg(rgb, CAMERA_QUALITY)
+    def _film(self, light: F32, press: PlannedPress) -> Iterator[bytes]:
+        """Yield the camera's frames of this light without end."""
+        exposure = Exposure(0, _POWERED_S, (0.0, 0.0))
+        for rgb in self._renderer.film(light * np.float32(press.light), self._keys(press.number), exposure):
+            yield encode_jpeg(rgb, CAMERA_QUALITY)
+
+    def _keys(self, number: int) -> Iterator[Key]:
+        """Count the frames, whatever light they are of, and name each."""
+        while True:
+            self._frame += 1
+            yield "frame", number, self._frame

@@ -27,7 +27,7 @@ from edge.model.scorer import Scorer
 from edge.model.session import fingerprint, how_they_differ
 from edge.store.press_archive import ArchivedPress, ArchiveFolder, map_bytes
 
-__all__ = ["Bundles", "Replayed", "judge_again"]
+__all__ = ["Bundles", "Replayed", "judge_again", "judge_as_then"]
 
 
 # The cause depends on the presses before; the ledger has it.
@@ -84,14 +84,20 @@ class Bundles:
 
 def judge_again(press: ArchivedPress, archive: ArchiveFolder, inspector: Inspector) -> Replayed:
     """Judge it again with this inspector, and compare. Errors: ArchiveError for what is gone or damaged."""
+    now = judge_as_then(press, archive, inspector)
+    differences = tuple(_differences(press, now, archive))
+    return Replayed(press, now, differences, tuple(_machine(press, archive)) if differences else ())
+
+
+def judge_as_then(press: ArchivedPress, archive: ArchiveFolder, inspector: Inspector) -> Press:
+    """Judge it again with this inspector. Errors: ArchiveError for what is gone or damaged."""
     frame = archive.read(press.frame, f"the judged frame of press {press.press_id}")
     _light_as_then(press, archive, inspector)
     now = inspector.inspect(CameraFrame(frame, 0, 0, is_on_demand=True), Touch(*press.touch))
     now = _without_scars(press, now, archive, inspector)
     if inspector.bundle.digest == press.bundle_id:
         now = _with_the_other_press(press, now, inspector).distrust()
-    differences = tuple(_differences(press, now, archive))
-    return Replayed(press, now, differences, tuple(_machine(press, archive)) if differences else ())
+    return now
 
 
 def _light_as_then(press: ArchivedPress, archive: ArchiveFolder, inspector: Inspector) -> None:
