@@ -156,7 +156,7 @@ DEVELOPMENT: Mapping[str, Maker] = {
 """The kinds by which settings are chosen, by name."""
 
 # Of the judgement parts: seeds that nothing else uses, 40 nominal presses, 20 sound and 20 damaged ones.
-_JUDGEMENT_SEEDS, _JUDGEMENT_SIZES = (60_271, 60_272), Sizes(pieces=15, held_out=5, presses=4, damaged=20)
+_JUDGEMENT_SEEDS, _JUDGEMENT_SIZES = (60_281, 60_282), Sizes(pieces=15, held_out=5, presses=4, damaged=20)
 
 JUDGEMENT: Mapping[str, Maker] = {
     **{chosen.name: partial(_touch, chosen) for chosen in _real("real-touch-judgement")},
@@ -164,7 +164,7 @@ JUDGEMENT: Mapping[str, Maker] = {
         f"simulated judgement part {number}": partial(
             _part, partial(random_part_trial, number, _JUDGEMENT_SIZES, seeds=_JUDGEMENT_SEEDS)
         )
-        for number in range(5)
+        for number in range(10)
     },
 }
 """The kinds that are opened once, after every choice."""
