@@ -7,7 +7,7 @@ import pytest
 from ball_presses import UNSEEN, planes, renderer
 
 from calibration.sensor_fit.gel_colours import fit_noise, has_markers, marker_dots
-from calibration.simulator.camera import noise
+from calibration.simulator.camera import noise, noise_spread
 from calibration.simulator.field_of_view import LR
 from calibration.simulator.renderer import Renderer
 
@@ -16,7 +16,8 @@ def test_the_noise_that_was_added_is_found() -> None:
     """Sd 1.0, 2.0 and 3.0 at a level of 60: found within a tenth, whatever dirt both frames show."""
     dirt = np.random.default_rng(1).normal(0, 5, (3, *LR.shape)).astype(np.float32)
     free = np.full((3, *LR.shape), 60, np.float32)
-    drawn = [noise(free + dirt, np.random.default_rng(k), (1.0, 2.0, 3.0)) - free for k in range(3)]
+    spread = noise_spread(free + dirt, (1.0, 2.0, 3.0))
+    drawn = [noise(free + dirt, np.random.default_rng(k), spread) - free for k in range(3)]
     everywhere = np.ones(LR.shape, np.bool_)
     assert fit_noise(drawn, [everywhere] * 3, (60, 60, 60)) == pytest.approx((1, 2, 3), rel=0.1)
 

@@ -127,7 +127,7 @@ def test_the_lamps_fall_by_four_percent_while_they_warm_up() -> None:
 def test_noise_has_the_measured_spread() -> None:
     """At level 100 the sd is 2.2, 1.5 and 2.7 in red, green and blue, and the mean is kept."""
     planes = np.full((3, 200, 200), 100, np.float32)
-    noisy = cam.noise(planes.copy(), np.random.default_rng(0)) - 100
+    noisy = cam.noise(planes.copy(), np.random.default_rng(0), cam.noise_spread(planes)) - 100
     assert np.allclose(noisy.std(axis=(1, 2)), (2.2, 1.5, 2.7), rtol=0.03)
     assert np.abs(noisy.mean(axis=(1, 2))).max() < 0.05
 
