@@ -51,7 +51,7 @@ BUGS = (
         "edge/config/loading.py",
         "return [sink.name or _receiver(sink) for sink in sinks]",
         'return [f"{sink.plugin}-{number}" for number, sink in enumerate(sinks)]',
-        "results lack",
+        "results lack|have no picture message",
     ),
     Bug(
         "stale frame scored",
