@@ -1,6 +1,6 @@
 """Pedals, lights and relays: their ports, what a station shows, and the rule of one output."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal, Protocol, get_args, runtime_checkable
 
 from edge.core.contact_state import ContactState
@@ -22,6 +22,9 @@ Condition = Literal[State, Word, ContactState, "alarm", "gel"]
 due."""
 
 VERDICTS: Final[tuple[str, ...]] = get_args(Word)
+
+# As with the messages of a contact: what the loop said longer ago may be of another part.
+_FRESH_NS: Final = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -133,6 +136,13 @@ class StationView:
     contact: ContactState = "unknown"
     piece_id: str | None = None
     """The piece of several places that is in progress; None where none is."""
+
+    def after(self, silent_ns: int) -> "StationView":
+        """Return what is still so where the loop has said nothing for that time: no contact is known then, and no pass
+        is shown."""
+        if silent_ns <= _FRESH_NS:
+            return self
+        return replace(self, contact="unknown", verdict=None if self.verdict == "pass" else self.verdict)
 
     def conditions(self) -> frozenset[str]:
         """Every condition that is true now. A verdict and the contact count only while the station inspects."""

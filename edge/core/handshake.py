@@ -217,7 +217,7 @@ class HandshakeMachine:
         if fault is not None and (self._view.step == "busy" or self._view.is_pass):
             self._finish("error", fault)
         is_ready = self._view.step == "idle" and self._fault(now_ns) is None
-        return replace(self._view, is_ready=is_ready)
+        return replace(self._view, is_ready=is_ready, station=self._station(now_ns))
 
     def has_beat(self, now_ns: int) -> bool:
         """Tell whether the PLC lives; False where its watchdog stands still."""
@@ -342,9 +342,16 @@ class HandshakeMachine:
     def _finish(self, word: str, code: Code) -> None:
         self._view = replace(self._view, step="done", word=word, code=code)
 
+    def _station(self, now_ns: int) -> StationView:
+        """Return what is still so of what the loop said last."""
+        station, silent_ns = self._view.station, now_ns - self._shown_ns
+        if silent_ns > LOOP_S * 1e9 and station.state == "ready":
+            station = replace(station, state="halted")
+        return station.after(silent_ns)
+
     def _fault(self, now_ns: int) -> Code | None:
         """Return why no press is judged now, or no one would read it."""
-        if self._view.station.state != "ready" or now_ns - self._shown_ns > LOOP_S * 1e9:
+        if self._station(now_ns).state != "ready":
             return Code.HALTED
         return None if self.has_beat(now_ns) else Code.NO_BEAT
 

@@ -9,7 +9,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from edge.core.digital_io import State
+from edge.core.digital_io import State, StationView
 from edge.core.handshake import CODES, LOOP_S, Code, Trigger, check_trigger
 
 
@@ -96,11 +96,17 @@ def test_a_station_that_does_not_inspect_ends_it_without_a_pass(state: State, st
 
 
 def test_a_loop_that_hangs_is_no_station() -> None:
-    """Nobody shows its state any more: no pass is shown, and no trigger is taken."""
+    """Nobody shows its state any more: no pass is shown, no contact is known, and no trigger is taken."""
     bench = Bench()
     bench.trigger(7)
     bench.press("pass")
-    bench.now_ns += round((LOOP_S + 0.1) * S)
+    bench.machine.show(StationView("ready", contact="lift"), 42, bench.now_ns)
+    bench.now_ns += S
+    assert bench.seen.station == StationView("ready", contact="lift")
+    bench.now_ns += S // 10
+    assert bench.seen.station == StationView("ready"), "another part may lie there"
+    bench.now_ns += round((LOOP_S - 1) * S)
+    assert bench.seen.station == StationView("halted")
     assert bench.result == ("done", 7, "error", Code.HALTED)
     bench.machine.acknowledge(bench.now_ns)
     assert bench.trigger(8) is Code.NOT_READY

@@ -9,7 +9,7 @@ from unittest.mock import ANY, Mock
 
 import pytest
 from fake_io import FakeRelay
-from station import station_config
+from station import Motion, press_recording, station_config
 from stepped_station import SteppedStation
 
 from edge.clock import ManualClock, SystemClock
@@ -198,6 +198,22 @@ def test_without_frames_nothing_is_said_of_the_contact(tmp_path: Path, configure
         station.turn()
         station.switch()
         assert on(tmp_path) == {3}
+
+
+def test_a_pass_does_not_outlive_a_time_in_which_the_loop_did_not_look(
+    tmp_path: Path, bundle: Path, configure: Make
+) -> None:
+    """Its disk hung for 2 s: what presses now may be another part."""
+    held = press_recording(tmp_path / "held", 1, motion=Motion(hold=80))
+    with IoStation(station_config(tmp_path, held, bundle, pace=1.0, tables=ANDON)) as station:
+        station.play(1)
+        station.play_until(lambda: on(tmp_path) == {1})
+        station.read(38)
+        station.look()
+        station.turn()
+        station.switch()
+        assert station.loop.is_pressed
+        assert on(tmp_path) == set()
 
 
 def test_a_pass_is_shown_only_when_it_is_recorded_and_a_fail_at_once(tmp_path: Path, configure: Make) -> None:

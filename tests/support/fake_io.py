@@ -1,6 +1,7 @@
 """A relay board and a pedal whose time and faults a test decides; what `write` does takes time of the test's clock."""
 
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 from edge.clock import ManualClock
@@ -19,7 +20,8 @@ class FixedBackoff(Backoff):
 
 
 class FakeRelay:
-    """plugged_in: with the cable pulled, writing fails. silent: gone, and nothing fails. write_s: how long it takes."""
+    """plugged_in: with the cable pulled, writing fails. silent: gone, and nothing fails. write_s: how long it takes.
+    called: at each writing."""
 
     name, channels = "relay", 4
 
@@ -28,6 +30,7 @@ class FakeRelay:
         self.plugged_in, self.silent, self.write_s = True, False, 0.0
         self.state: dict[int, bool] = {}
         self.error: Exception | None = None
+        self.called: Callable[[], object] = lambda: None
         self.history: list[tuple[int, int, bool]] = []
         self.openings = self.closings = 0
 
@@ -38,6 +41,7 @@ class FakeRelay:
         return self
 
     def write(self, channel: int, is_on: bool) -> None:
+        self.called()
         self.clock.sleep(self.write_s)
         if self.error is not None:
             raise self.error

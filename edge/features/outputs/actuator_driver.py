@@ -4,6 +4,7 @@ A pulse that cannot start before its deadline is not given: it would hit the nex
 a sign of life from the loop the outputs go to those of the state `halted`.
 """
 
+import logging
 import random
 import threading
 from collections import deque
@@ -20,7 +21,11 @@ from edge.features.outputs.connection import FIRST_PAUSE_S, LONGEST_PAUSE_S, Con
 
 __all__ = ["ActuatorDriver", "levels", "next_blink_ns"]
 
+log = logging.getLogger(__name__)
+
 _LONGEST_WAIT_NS: Final = 250_000_000
+# A device that does not return is left after this time.
+CLOSE_S: Final = 5.0
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,8 @@ class ActuatorDriver:
 
     on_late: called with one sentence for every pulse that was not given in time. watchdog_ns: without `show` for this
     time the loop hangs. `step` is one turn of the owner without its thread; a test may call it instead of `start`.
-    `show` and `pulse` are for other threads, and return at once.
+    `show` and `pulse` are for other threads, and return at once. A call of the device that takes longer than the
+    watchdog is a fault too, which `show` reports.
     """
 
     def __init__(
@@ -63,6 +69,8 @@ class ActuatorDriver:
         self._on_until_ns: dict[int, int] = {}
         self._device_fault: str | None = None
         self._is_hanging = False
+        self._began_ns: int | None = None  # the turn that the owner takes now
+        self._is_stuck = False
         self._is_closing = False
         self._has_news = False
         self._thread = threading.Thread(target=self._run, name="actuator", daemon=True)
@@ -79,6 +87,17 @@ class ActuatorDriver:
             self._shown_ns = self._clock.monotonic_ns()
             if is_new:
                 self._wake()
+        self._watch_owner()
+
+    def _watch_owner(self) -> None:
+        """Report what the owner cannot while a call of the device does not return."""
+        began_ns = self._began_ns
+        if began_ns is None:
+            return
+        self._expire()
+        if self._clock.monotonic_ns() - began_ns > self._watchdog_ns and not self._is_stuck:
+            self._is_stuck = True
+            self._say()
 
     def pulse(self, verdict: str, judged_ns: int) -> None:
         """Give the pulses of this verdict. judged_ns: when the judged frame came, from which deadlines count."""
@@ -97,6 +116,7 @@ class ActuatorDriver:
 
     def step(self) -> float:
         """Take one turn: open where it is away, give pulses, switch levels; returns the seconds until the next one."""
+        self._began_ns = self._clock.monotonic_ns()
         try:
             self._watch()
             actuator = self._connection.open()
@@ -106,16 +126,24 @@ class ActuatorDriver:
         except Exception as error:  # noqa: BLE001 - the owner's edge: any fault becomes an alarm
             self._written, self._on_until_ns = {}, {}
             self._connection.lost(error)
+        self._began_ns = None
+        if self._is_stuck:
+            self._is_stuck = False
+            self._say()
         self._expire()
         return max(0.0, (self._next_ns() - self._clock.monotonic_ns()) / 1e9)
 
     def _turn(self, actuator: Actuator) -> None:
         self._check_channels(actuator)
-        while self._asked:  # this thread alone takes from it
-            self._give(actuator, self._asked.popleft())
+        while (pulse := self._next_pulse()) is not None:
+            self._give(actuator, pulse)
         now_ns = self._clock.monotonic_ns()
         for channel, is_on in levels(self._rules, self._present_view(), now_ns).items():
             self._write(actuator, channel, is_on or self._on_until_ns.get(channel, 0) > now_ns)
+
+    def _next_pulse(self) -> _Pulse | None:
+        with self._changed:
+            return self._asked.popleft() if self._asked else None
 
     def _give(self, actuator: Actuator, pulse: _Pulse) -> None:
         refusal = self._refusal(pulse)
@@ -152,7 +180,8 @@ class ActuatorDriver:
 
     def _present_view(self) -> StationView:
         with self._changed:
-            return replace(self._view, state="halted") if self._is_hanging else self._view
+            view, silent_ns = self._view, self._clock.monotonic_ns() - self._shown_ns
+        return replace(view, state="halted") if self._is_hanging else view.after(silent_ns)
 
     def _watch(self) -> None:
         """The watchdog: a loop that hangs cannot see a fault itself."""
@@ -201,7 +230,8 @@ class ActuatorDriver:
 
     def _say(self) -> None:
         hanging = Sentence("the station's loop does not answer; its outputs are in the state `halted`")
-        words = [self._device_fault, hanging if self._is_hanging else None]
+        stuck = Sentence("a call of its driver does not end; its outputs stay as they are")
+        words = [self._device_fault, hanging if self._is_hanging else None, stuck if self._is_stuck else None]
         self._on_fault(join_sentences(word for word in words if word))
 
     def _run(self) -> None:
@@ -227,7 +257,11 @@ class ActuatorDriver:
             self._is_closing = True
             self._wake()
         if self._thread.is_alive():
-            self._thread.join()
+            self._thread.join(CLOSE_S)
+            if self._thread.is_alive():
+                log.error(
+                    "a call of an output's driver does not end; the output is left as it is, check its wiring"
+                )
         elif self._connection.port is not None:
             self._end()
 

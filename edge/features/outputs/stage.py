@@ -162,6 +162,8 @@ class Outputs(PressStage):
             self._verdict, self._awaited_ns = None, None
 
     def look(self, look: Look) -> None:
+        if look.interruption_s > UNSEEN_S and self._verdict == "pass":  # also where the loop did not look
+            self._verdict = None
         if look.sight.seen_ns == look.timestamp_ns:
             self._seen_ns = self._clock.monotonic_ns()
 

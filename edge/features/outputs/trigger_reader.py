@@ -14,6 +14,7 @@ __all__ = ["Debounce", "TriggerReader"]
 
 # Reads are this short, so that closing does not wait, and presence is polled in time.
 _LONGEST_READ_NS: Final = 250_000_000
+CLOSE_S: Final = 5.0
 
 
 class Debounce:
@@ -98,5 +99,6 @@ class TriggerReader:
         """Stop reading and release the device; may be called again."""
         self._closing.set()
         if self._thread.is_alive():
-            self._thread.join()
-        self._connection.close()
+            self._thread.join(CLOSE_S)
+        if not self._thread.is_alive():  # else a read does not end, and closing during it would neither
+            self._connection.close()

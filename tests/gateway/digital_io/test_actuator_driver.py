@@ -1,5 +1,7 @@
 """The owner of a relay board, on the test's own clock and without its thread."""
 
+import threading
+
 import pytest
 from fake_io import FakeRelay, FixedBackoff, run
 from waiting import wait_until
@@ -154,13 +156,16 @@ def test_a_board_that_vanished_in_silence_is_noticed_and_opened_again() -> None:
 
 
 def test_a_loop_that_hangs_puts_the_outputs_into_those_of_a_fault() -> None:
-    """After 2 s without a sign of life: the lamp of `halted` is on, the pass is off; with the loop it is as before."""
-    bench = Bench()
-    bench.run(1, StationView("ready", "pass"))
-    assert bench.relay.on == {1, 4}
-    bench.run(1.9)
-    assert bench.relay.on == {1, 4}
+    """After 1 s without a sign of life no pass is shown and no contact, for another part may lie there; after 2 s the
+    lamp of `halted` is on; with the loop it is as before."""
+    bench = Bench((*RULES, OutputRule(3, frozenset({"lift"}))))
+    bench.run(1, StationView("ready", "pass", contact="lift"))
+    assert bench.relay.on == {1, 3, 4}
+    bench.run(0.9)
+    assert bench.relay.on == {1, 3, 4}
     bench.run(0.5)
+    assert bench.relay.on == {4}
+    bench.run(1)
 
     assert bench.relay.on == {2}
     assert bench.faults == ["the station's loop does not answer; its outputs are in the state `halted`"]
@@ -233,6 +238,32 @@ def test_a_channel_that_the_board_does_not_have_is_a_fault() -> None:
     assert (
         "has 4 channels, the configuration names channel 8; correct [[actuators.outputs]]" in bench.faults[0]
     )
+
+
+def test_a_board_that_does_not_return_is_an_alarm_and_keeps_no_station_from_its_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The owner is inside the driver: the loop says so, and reports the pulses that are not given. Later it goes on."""
+    monkeypatch.setattr("edge.features.outputs.actuator_driver.CLOSE_S", 0.1)
+    bench, is_inside, may_return = Bench(), threading.Event(), threading.Event()
+    bench.driver.start()
+    bench.driver.show(READY)
+    wait_until(lambda: bench.relay.on == {4})
+    bench.relay.called = lambda: (is_inside.set(), may_return.wait())
+    bench.driver.show(StationView("ready", "pass"))
+    is_inside.wait()
+    bench.driver.pulse("fail", bench.clock.monotonic_ns())
+    bench.clock.sleep(0.4)
+    bench.driver.show(READY)
+    assert bench.late == ["the pulse on channel 3 for 'fail' was not given: it is 100 ms after its deadline"]
+    assert bench.faults == []
+    bench.clock.sleep(1.7)
+    bench.driver.show(READY)
+    assert bench.faults == ["a call of its driver does not end; its outputs stay as they are"]
+    bench.driver.close()
+    may_return.set()
+    wait_until(lambda: bench.faults[1:] == [None])
+    wait_until(lambda: bench.relay.closings == 1)
 
 
 def test_the_owner_thread_switches_and_ends() -> None:

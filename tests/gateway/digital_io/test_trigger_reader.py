@@ -1,5 +1,8 @@
 """The owner of a pedal, on the test's own clock and without its thread."""
 
+import threading
+
+import pytest
 from fake_io import FakePedal, FixedBackoff, run
 
 from edge.clock import ManualClock
@@ -85,6 +88,23 @@ def test_the_owner_thread_releases_the_pedal() -> None:
     bench.reader.close()
 
     assert bench.pedal.closings == bench.pedal.openings
+
+
+def test_a_pedal_that_does_not_return_keeps_no_station_from_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is left as it is: only its owner may close it."""
+    monkeypatch.setattr("edge.features.outputs.trigger_reader.CLOSE_S", 0.1)
+    bench, is_inside, may_return = Bench(), threading.Event(), threading.Event()
+
+    def hang(deadline_ns: int) -> None:
+        is_inside.set()
+        may_return.wait()
+
+    monkeypatch.setattr(bench.pedal, "read", hang)
+    bench.reader.start()
+    is_inside.wait()
+    bench.reader.close()
+    assert bench.pedal.closings == 0
+    may_return.set()
 
 
 def test_a_driver_with_a_defect_is_an_alarm_and_is_tried_again() -> None:
