@@ -15,6 +15,7 @@ from typing import Any, Final, TypeVar
 from edge.acquisition import Acquisition
 from edge.config import Config
 from edge.core.errors import DeviceNotFound, RecordingEnded, StoreError
+from edge.core.handshake import LOOP_S
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock
 from edge.gateway.inspection_session import InspectionSession
@@ -37,6 +38,8 @@ log = logging.getLogger(__name__)
 
 # While it waits for a frame the loop wakes this often, to serve calls and detect faults.
 WAIT_S: Final = 0.2
+# Another thread looks this often whether the loop turns.
+WATCH_S: Final = 1.0
 # The pause before a store that refuses writes is tried again.
 STORE_RETRY_S: Final = 1.0
 
@@ -80,6 +83,7 @@ class StationLoop:
         self._refused_ns = 0
         self._is_reload_wanted = False
         self._on_press = on_press
+        self._turned_ns = parts.clock.monotonic_ns()
         self._last_stats_ns = parts.clock.monotonic_ns()
         parts.selection.on_change = self._follow_selection
 
@@ -113,11 +117,26 @@ class StationLoop:
             stage.start()
         self.parts.acquisition.start()
         self.parts.selection.start()
-        manager = ServiceManager(self.parts.clock)
+        manager, ended = ServiceManager(self.parts.clock), threading.Event()
+        self._turned_ns = self.parts.clock.monotonic_ns()
+        threading.Thread(target=self._keep_watching, args=(ended,), name="loop-watch", daemon=True).start()
         manager.ready()
-        self.turn_until(stop, presses, manager.alive)
+        try:
+            self.turn_until(stop, presses, manager.alive)
+        finally:
+            ended.set()
         manager.stopping()
         return self.summary
+
+    def _keep_watching(self, ended: threading.Event) -> None:
+        while not ended.wait(WATCH_S):
+            self.watch()
+
+    def watch(self) -> None:
+        """Say that the loop hangs, in a detector or on a disk: its last verdict would stand as if it were of now. Another
+        thread calls it."""
+        silent_ns = self.parts.clock.monotonic_ns() - self._turned_ns
+        self.parts.status.set_hanging(silent_ns > LOOP_S * 1e9)
 
     def reload(self) -> None:
         """Open the bundles again with the next turn. A handler of a signal may call it: no lock is taken."""
@@ -151,6 +170,8 @@ class StationLoop:
         """Take one turn, with the next frame if there is one. Without a frame a store that refused is tried again at
         once, with one after STORE_RETRY_S."""
         parts, now_ns = self.parts, self.parts.clock.monotonic_ns()
+        self._turned_ns = now_ns
+        parts.status.set_hanging(False)
         # A frame that is made on demand was not waiting: its time is that of a recording.
         is_live = frame is not None and not frame.is_on_demand
         parts.calls.serve(self, frame.timestamp_ns if frame is not None and is_live else math.inf)

@@ -3,7 +3,7 @@
 import logging
 import threading
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Final, Literal
 
 from edge.acquisition import AcquisitionState, AcquisitionStatus
 from edge.core.contact_state import ContactState
@@ -27,6 +27,8 @@ __all__ = ["StationStatus"]
 
 log = logging.getLogger(__name__)
 
+_HANGING: Final = Sentence("the station's loop does not answer; check its disks, then restart it")
+
 
 class StationStatus:
     """Makes messages of the current status for `announce`, which sends only changes; the `Alarms` of all stages."""
@@ -40,7 +42,7 @@ class StationStatus:
         self._sensor_fault: Sentence | None = None
         self._raised: set[str] = set()
         self._waiting_for: Sentence | None = None
-        self._is_stopped = False
+        self._is_stopped = self._is_hanging = False
         self._unproven: Sentence | None = None
         self._contact: ContactState = "unknown"
         self._piece_id: str | None = None
@@ -51,6 +53,15 @@ class StationStatus:
         with self._lock:
             self._waiting_for = what
             self._say_state()
+
+    def set_hanging(self, is_hanging: bool) -> None:
+        """Say that the loop does not answer, which inspects nothing meanwhile; False when it turns again."""
+        with self._lock:
+            if is_hanging != self._is_hanging:
+                self._is_hanging = is_hanging
+                if is_hanging:
+                    log.error("%s", _HANGING)
+                self._say_state()
 
     def set_fault(self, alarm: str, text: Sentence) -> bool:
         """Nothing can be inspected until `clear_fault`: an alarm, and the state. Returns whether this is a change."""
@@ -126,8 +137,8 @@ class StationStatus:
     def _state(self) -> tuple[Literal["starting", "ready", "halted", "stopped"], str | None]:
         if self._is_stopped:
             return "stopped", None
-        if self._faults:
-            return "halted", join_sentences(self._faults.values())
+        if self._faults or self._is_hanging:
+            return "halted", join_sentences([*self._faults.values(), *[_HANGING] * self._is_hanging])
         return (
             ("ready", None)
             if self._waiting_for is None

@@ -7,9 +7,14 @@ from pathlib import Path
 import pytest
 from station import Motion, press_recording, station_config, two_parts
 from stepped_station import SteppedStation
+from waiting import wait_until
 
+from edge.clock import SystemClock
+from edge.config import load_config
 from edge.core.errors import DeviceNotFound, StoreError
 from edge.gateway import inspection_session
+from edge.gateway.build import open_station
+from edge.gateway.recorder import PressReport
 from edge.messaging.command_payloads import SelectPartArguments
 from edge.store.press_store import Store
 
@@ -99,6 +104,28 @@ def test_a_new_gel_starts_from_nothing(station: SteppedStation) -> None:
     )
     with pytest.raises(StoreError, match="'next' was already used"):
         station.ask("replace_gel", gel_id="next")
+
+
+def test_a_loop_that_hangs_is_said_while_it_hangs(config: Path) -> None:
+    """A disk holds it in the turn of its first press: receivers do not keep `ready`, and with it the last pass."""
+    clock, stop, is_held, may_go = SystemClock(), threading.Event(), threading.Event(), threading.Event()
+
+    def hang(report: PressReport) -> None:
+        is_held.set()
+        may_go.wait()
+
+    with pytest.MonkeyPatch.context() as patched, open_station(load_config(config), clock, hang) as station:
+        patched.setattr("edge.gateway.station_loop.LOOP_S", 0.2)
+        patched.setattr("edge.gateway.station_loop.WATCH_S", 0.05)
+        runner = threading.Thread(target=station.run, args=(stop, 2))
+        runner.start()
+        is_held.wait()
+        wait_until(lambda: station.parts.status.view().state == "halted")
+        said = [message.payload for _, message in station.parts.publisher.retained_state.since(-1)]
+        assert any(b"the station's loop does not answer; check its disks" in payload for payload in said)
+        may_go.set()
+        runner.join()
+        assert station.parts.status.view().state == "ready"
 
 
 def test_presses_that_the_store_refuses_are_kept_and_recorded_when_possible(station: SteppedStation) -> None:
