@@ -133,8 +133,8 @@ class StationLoop:
             self.watch()
 
     def watch(self) -> None:
-        """Say that the loop hangs, in a detector or on a disk: its last verdict would stand as if it were of now. Another
-        thread calls it."""
+        """Say that the loop hangs, in a detector or on a disk: its last verdict would stand as if it were of now.
+        Another thread calls it."""
         silent_ns = self.parts.clock.monotonic_ns() - self._turned_ns
         self.parts.status.set_hanging(silent_ns > LOOP_S * 1e9)
 
