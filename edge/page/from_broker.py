@@ -4,6 +4,7 @@ import json
 import logging
 import queue
 import threading
+import time
 from contextlib import suppress
 from typing import Any, Final
 
@@ -23,6 +24,9 @@ log = logging.getLogger(__name__)
 
 # The station answers within 5 s; a broker far away takes longer.
 ANSWER_S: Final = 15.0
+
+# A station that runs speaks of its contact every two seconds.
+SILENT_S: Final = 8
 
 # For a new bundle it has two minutes.
 DRAWN_S: Final = 135.0
@@ -51,6 +55,9 @@ class BrokerStation:
         self._root: str | None = None
         self._others: set[str] = set()
         self._why_away = ""
+        self._silent_at: float | None = (
+            None  # from then on it has been silent for too long; None: it need not speak
+        )
         self._asked: list[tuple[str, queue.SimpleQueue[bytes]]] = []
         self._thread = threading.Thread(target=self._keep_listening, name="page-broker", daemon=True)
 
@@ -118,8 +125,11 @@ class BrokerStation:
             self._inbox = inbox
             self._begin(connection)
             try:
-                while not self._closing.is_set() and (message := next_message(inbox, None)) is not None:
-                    self.see(message)
+                while not self._closing.is_set():
+                    if (message := next_message(inbox, self._seconds_left())) is None:
+                        self._note_silence()
+                    else:
+                        self.see(message)
             except SinkError:
                 if not self._closing.is_set():
                     raise
@@ -128,13 +138,26 @@ class BrokerStation:
 
     def _begin(self, connection: Connection) -> None:
         """Begin with an empty status: the retained messages lack what is over since the last connection."""
-        self._connection, self._why_away = connection, ""
+        self._connection, self._why_away, self._silent_at = connection, "", None
         log.info("listening to broker %s", self._broker)
         self.shown.forget_status()
         self.shown.set_away(
             Sentence(
                 f"broker {self._broker} has no message of a station below {self._filter} yet; check the names, and "
                 "that its gateway runs"
+            )
+        )
+
+    def _seconds_left(self) -> float | None:
+        return None if self._silent_at is None else max(0.0, self._silent_at - time.monotonic())
+
+    def _note_silence(self) -> None:
+        """A frozen gateway, or a network that is silent, is lost to the broker, or to us, much later."""
+        self._silent_at = None
+        self.shown.set_away(
+            Sentence(
+                f"nothing has come from the station for {SILENT_S} s; check its gateway, the broker, and the network "
+                "between"
             )
         )
 
@@ -147,10 +170,14 @@ class BrokerStation:
             self._see_answer(topic, message.payload)
             return
         self.shown.set_away(None)
+        if topic == "contact" and not message.retain:
+            self._silent_at = time.monotonic() + SILENT_S
         try:
             self.shown.see(Message(topic, message.payload))
         except ValueError as error:
             log.warning("a message on %.200r is not shown: %s", message.topic, error)
+        if (self.shown.station()["state"] or {}).get("state") in ("stopped", "lost"):
+            self._silent_at = None
 
     def _is_shown(self, root: str) -> bool:
         if self._root is None:

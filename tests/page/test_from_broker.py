@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from page_messages import ROOT, T0_NS, TOKEN, ask, asked, gel, press, state
+from page_messages import ROOT, T0_NS, TOKEN, ask, asked, contact, gel, press, state
 from ports import free_port
 from waiting import wait_until
 
@@ -84,6 +84,26 @@ def test_it_shows_what_the_broker_has_and_what_comes(mosquitto: LocalBroker) -> 
         wait_until(lambda: shown.station()["away"] is None)
         assert shown.station()["alarms"] == {}
         assert len(shown.presses()) == 2
+
+
+def test_a_station_that_falls_silent_is_away(mosquitto: LocalBroker, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a frozen gateway, or behind a network that closes nothing: the last pass is not that of now. One that has
+    ended says why it is silent, and what is retained is no sign of life."""
+    monkeypatch.setattr("edge.page.from_broker.SILENT_S", 0.3)
+    with ExitStack() as opened:
+        says(mosquitto, state("ready"), contact("free"))
+        shown = listening(mosquitto, opened).shown
+        wait_until(lambda: shown.station()["contact"])
+        time.sleep(0.5)
+        assert shown.station()["away"] is None
+        says(mosquitto, contact("free"), *press(1))
+        wait_until(lambda: "nothing has come from the station" in (shown.station()["away"] or ""))
+        says(mosquitto, contact("touching"))
+        wait_until(lambda: shown.station()["away"] is None)
+        says(mosquitto, contact("free"), state("stopped"))
+        wait_until(lambda: shown.station()["state"]["state"] == "stopped")
+        time.sleep(0.5)
+        assert shown.station()["away"] is None
 
 
 def test_a_broker_that_is_away_at_the_start_is_waited_for() -> None:
