@@ -95,11 +95,12 @@ def _build(
     commands = Commands(handlers, policy_of(config), store, clock, config.commands.requests_per_minute)
     by_name: dict[str, PressStage] = {}
     draw_again = _drawer(config, store, lambda: selection.bundles, by_name.values())
-    sinks = _open_sinks(
-        config, _sink_context(config, clock, store, retained_state, commands, draw_again), closing
-    )
+    context = _sink_context(config, clock, store, retained_state, commands, draw_again)
     path, before = config.store.path, _names_before(config)
-    publisher = Publisher(path, sinks, retained_state, clock, random.Random(), lock=lock, before=before)
+    with ExitStack() as opened_sinks:
+        sinks = _open_sinks(config, context, opened_sinks)
+        publisher = Publisher(path, sinks, retained_state, clock, random.Random(), lock=lock, before=before)
+        opened_sinks.pop_all()  # it closes them, and waits for none that does not return
     listeners: list[Callable[[Message], object]] = [publisher.announce]
     status = StationStatus(lambda message: [hear(message) for hear in listeners], clock)
     closing.callback(publisher.stop)
@@ -264,7 +265,7 @@ def _open_sinks(config: Config, context: Station, closing: ExitStack) -> dict[st
     for name, chosen in zip(sink_names(config.sinks), config.sinks, strict=True):
         plugin = registry.sink(chosen.plugin)
         sinks[name] = sink = plugin.open(plugin.Options.model_validate(chosen.options), context)
-        closing.callback(sink.close)  # has no effect after the publisher's own closing
+        closing.callback(sink.close)
     return sinks
 
 
