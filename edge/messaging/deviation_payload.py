@@ -63,4 +63,4 @@ class DeviationsPayload(Payload):
         return self.deviations[0] if self.deviations else DeviationPlace()
 
     def message(self) -> Message:
-        return Message(f"{self.topic}/{self.press_id}", self.encode(), self.qos)
+        return Message(f"{self.topic}/{self.press_id}", self.encode(), self.qos, self.is_retained)

@@ -4,12 +4,14 @@ import json
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import typer
 from real_brokers import require
 
 from edge.cli.watch import watch as watch_command
+from edge.clock import ManualClock
 from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
 from edge.core.printable import printable
@@ -90,7 +92,8 @@ def listen(
 
 @each_broker
 def test_each_press_is_given_once_and_its_picture_is_saved(broker: LocalBroker, tmp_path: Path) -> None:
-    """A repeated result is left out; the watch ends after the last wanted press's picture. No other topic is a file."""
+    """A repeated result is left out; the watch ends after the last wanted press's picture, which may be empty. No other
+    topic is a file."""
     run = speak(
         broker,
         ("heatmap/../../escape", b"x"),
@@ -99,13 +102,17 @@ def test_each_press_is_given_once_and_its_picture_is_saved(broker: LocalBroker, 
         (f"heatmap/{IDS[0]}", b"\x89PNG\r\n\x1a\n0"),
         ("result", result(0, is_replayed=True)),
         ("result", result(1)),
-        ("result", result(2)),
         (f"heatmap/{IDS[1]}", b"\xff\xd81"),
+        ("result", result(2)),
+        ("result", result(3)),
+        (f"heatmap/{IDS[2]}", b""),
+        ("state", b'{"state":"halted"}'),
     )
 
-    heard = listen(broker, run, save=tmp_path / "maps", count=2)
+    heard = listen(broker, run, save=tmp_path / "maps", count=3)
 
-    assert [content["press_id"] for kind, content in heard if kind == "result"] == IDS[:2]
+    assert [content["press_id"] for kind, content in heard if kind == "result"] == IDS[:3]
+    assert heard[-1] == ("heatmap", {"press_id": IDS[2], "path": None})
     assert {path.name: path.read_bytes() for path in (tmp_path / "maps").iterdir()} == {
         f"{IDS[0]}.png": b"\x89PNG\r\n\x1a\n0",
         f"{IDS[1]}.jpg": b"\xff\xd81",
@@ -176,6 +183,25 @@ def test_a_broker_that_goes_away_is_waited_for(broker: LocalBroker) -> None:
     assert heard[-1] == "result"
     assert any("is lost" in sentence for sentence in messages)
     assert any("again" in sentence for sentence in messages)
+
+
+def test_a_broker_that_stays_away_is_waited_for_until_the_end(
+    broker: LocalBroker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The watch ends when its time is over, and says each failed attempt."""
+    clock, told = ManualClock(), list[str]()
+    passing = SimpleNamespace(monotonic=lambda: clock.monotonic_ns() / 1e9, sleep=lambda _: clock.sleep(25))
+    monkeypatch.setattr("edge.messaging.subscriber.time", passing)
+
+    def tell(sentence: str) -> None:
+        told.append(sentence)
+        assert len(told) < 9
+
+    speak(broker)()
+    for _ in watch(speaks(broker, "watcher"), station_filter("gelgate"), timeout_s=60, tell=tell):
+        broker.kill()
+
+    assert ["trying again" in sentence for sentence in told] == [False, True, True, True, True]
 
 
 @pytest.mark.usefixtures("tokyo")

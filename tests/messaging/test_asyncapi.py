@@ -141,8 +141,9 @@ def test_what_the_station_sends_is_as_described(check: DocumentCheck) -> None:
 
 
 def test_what_is_over_is_described_as_empty(described: dict[str, Any], check: DocumentCheck) -> None:
-    """An alarm too: nothing follows in its message."""
-    assert check.fault(f"{ROOT}/alarm/gel", b"") is None
+    """An alarm too: nothing follows in its message. So are the piece in progress and the picture that is kept."""
+    for topic in ("alarm/gel", "piece", "last/heatmap"):
+        assert check.fault(f"{ROOT}/{topic}", b"") is None
     empty = described["components"]["messages"]["Empty"]["payload"]
     assert jsonschema.Draft7Validator(empty).is_valid("")
     assert not jsonschema.Draft7Validator(empty).is_valid("x")

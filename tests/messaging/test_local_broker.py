@@ -16,7 +16,9 @@ def test_its_port_is_its_own_until_the_end() -> None:
     require("mosquitto")
     with LocalBroker("mosquitto") as broker:
         place = (broker.host, broker.port)
+        assert broker.pid is not None
         broker.stop()
+        assert broker.pid is None
         with socket.socket() as other, pytest.raises(OSError, match="in use"):
             other.bind(place)
         with pytest.raises(ConnectionRefusedError):

@@ -16,6 +16,7 @@ from edge.gateway.commands import Change, CommandPolicy, Commands
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared
 from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.descriptions.station import DescribedStation
+from edge.messaging.deviation_payload import DeviationsPayload
 from edge.messaging.payload_base import as_replayed, iso_time
 from edge.messaging.result_payload import PressFiles, ResultPayload, picture_messages, press_messages
 from edge.messaging.status_payloads import availability_message
@@ -24,6 +25,7 @@ from edge.store.press_store import Store
 from edge.store.ulid import is_ulid, new_ulid
 
 FILES = PressFiles(b"\xff\xd8jpeg", b"\x89PNG\r\n\x1a\n")
+MEASURED = DeviationsPayload(time_ns=1, press_id=PRESS_ID, calibration="ball", deviations=[])
 
 
 def test_the_reference_names_every_topic_a_press_publishes() -> None:
@@ -33,7 +35,8 @@ def test_the_reference_names_every_topic_a_press_publishes() -> None:
     own = press_messages(result(), GEL, b"\xff\xd8still")
     described = asyncapi_message(DescribedStation.of_root("gelgate/plant/line/station/gel/v1"))
     about_station = described, availability_message(is_online=True)
-    for message in (*own, *picture_messages(PRESS_ID, FILES, is_last=True), *about_station):
+    pictures = picture_messages(PRESS_ID, FILES._replace(deviations=MEASURED), is_last=True)
+    for message in (*own, *pictures, *about_station):
         assert said[message.topic] == (message.qos, message.retain)
 
 
@@ -202,6 +205,13 @@ HANDLERS = {
             "7",
             "error",
             "arguments: Input should be an object",
+        ),
+        (
+            "ping",
+            b'{"transaction":"7","time_ns":"1"}',
+            "7",
+            "error",
+            "time_ns: Input should be a valid integer",
         ),
         ("ping", b"not json", None, "error", "docs/mqtt.md"),
         ("ping", b'{"arguments":{}}', None, "error", "transaction: Field required"),

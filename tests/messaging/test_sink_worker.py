@@ -309,7 +309,8 @@ def test_every_alarm_is_cleared_at_the_start(outbox: Outbox, sink: ScriptedSink)
 
 
 def test_a_refused_announcement_is_said_again_when_it_is_still_so(outbox: Outbox, sink: ScriptedSink) -> None:
-    """Otherwise the broker would retain `ready` of a station that is halted, until the next change or connection."""
+    """Otherwise the broker would retain `ready` of a station that is halted, until the next change or connection. It is
+    said again in its own time, not in every step."""
     retained_state, clock = RetainedState(), ManualClock()
     one = worker(outbox, sink, retained_state=retained_state, clock=clock)
     retained_state.announce(StatePayload(time_ns=1, state="ready").message())
@@ -317,8 +318,13 @@ def test_a_refused_announcement_is_said_again_when_it_is_still_so(outbox: Outbox
     sink.refuses = {"state"}
     retained_state.announce(StatePayload(time_ns=2, state="halted", reason="full").message())
     drain(one)
+    clock.sleep(OFFER_REFUSED_S)
+    for _ in range(3):
+        drain(one)
+    assert sink.refused == ["state", "state"]
     sink.refuses = set()
     drain(one)
+    assert [m.topic for m in sink.taken if m.topic == "state"] == ["state"]
     clock.sleep(OFFER_REFUSED_S)
     for _ in range(3):
         drain(one)

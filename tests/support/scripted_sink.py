@@ -18,6 +18,7 @@ class ScriptedSink:
         self.taken: list[Message] = []
         self.is_away = False
         self.refuses: set[str] = set()
+        self.refused: list[str] = []
         self.loses_next_acknowledgement = False
         self.loses_acknowledgements_of = ""
         """A topic."""
@@ -27,6 +28,7 @@ class ScriptedSink:
         if self.is_away:
             raise SinkUnavailable("away")
         if message.topic in self.refuses:
+            self.refused.append(message.topic)
             raise SinkRejected(f"{message.topic} is not for you")
         self.taken.append(message)
         if self.loses_next_acknowledgement or message.topic == self.loses_acknowledgements_of:
