@@ -171,7 +171,8 @@ def _print_shadows(rows: Iterable[HistoryRow]) -> None:
     for row in rows:
         if row.shadow is not None:
             said = ShadowVerdict.decode(row.shadow)
-            one = JudgedTwice(row.press_id, row.verdict, said.verdict, row.person_verdict)
+            saying = row.person_verdict
+            one = JudgedTwice(row.press_id, row.verdict, said.verdict, saying, saying == "damaged")
             pairs[said.bundle_id, said.beside].append(one)
     for (shadow, beside), presses in pairs.items():
         weighing = Weighing(presses)

@@ -38,9 +38,9 @@ class JudgedTwice:
     """Of the bundle in use."""
     other: str
     """Of the shadow."""
-    saying: str | None = None
+    saying: str | None
     """What people say of it; None where nobody spoke."""
-    was_damaged: bool = False
+    was_damaged: bool
     """Whether anybody ever called it damaged, whatever was said later."""
 
     @property
