@@ -66,3 +66,12 @@ def test_teeth_look_alike_a_pitch_further_on(turn_rad: float, pitch_px: tuple[in
 
     assert (abs(pose.x_px), abs(pose.y_px)) == pitch_px
     assert not shifts_alike(slopes, 1, 5.0, 1.001, 0.5)
+
+
+@pytest.mark.parametrize(("part", "is_round"), [(parts.BALL, True), (parts.BAR, False), (parts.BLOCK, False)])
+def test_a_ball_agrees_with_itself_at_any_turn(part: parts.Bumps, is_round: bool) -> None:
+    """Its roundness is nearly 1; that of a part with a turn is far below."""
+    slopes = parts.slopes(part, Pose(), 64).astype(np.float32)
+    roundness = CoarseSearch(slopes, 36).roundness(slopes)
+
+    assert roundness > 0.98 if is_round else roundness < 0.5
