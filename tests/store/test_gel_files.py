@@ -21,6 +21,8 @@ def test_a_picture_comes_back(tmp_path: Path) -> None:
     assert first is not None
     assert last is not None
     assert (first.view[0, 0, 0], last.view[0, 0, 0]) == (1.0, 2.0)
+    assert not folder.has_others("S1", "gel/1")
+    assert folder.has_others("S1", "gel/2")
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from sql import connection_of, count_steps, execute
 from edge.core.press import StudyLabel
 from edge.core.reference_press.charts import ReferencePress
 from edge.core.reference_press.outcome import Imprint
-from edge.store import acts, integrity, press_store, reference_presses, study_presses
+from edge.store import acts, integrity, ledger_chain, press_store, reference_presses, study_presses
 from edge.store.acts import Act
 from edge.store.backup import migrate
 from edge.store.database import CHAINED_SINCE, MIGRATIONS
@@ -360,6 +360,19 @@ def test_presses_of_master_pieces_and_studies_are_chained(used: Path, statement:
     execute(used, statement)
 
     assert ledger(used)[0].startswith(expected)
+
+
+def test_a_chain_that_starts_later_has_the_presses_of_master_pieces_and_studies(used: Path) -> None:
+    """As where a database is migrated: none of them is called inserted, and a change of one is named."""
+    labelled(used)
+    with closing(sqlite3.connect(used)) as connection, connection:
+        for table in ("ledger_chain", "ledger_start", "sqlite_sequence WHERE name = 'ledger_chain'"):
+            connection.execute(f"DELETE FROM {table}")
+        ledger_chain.start(connection)
+    assert ledger(used) == []
+    execute(used, "UPDATE study_presses SET operator = 'bob'")
+
+    assert ledger(used)[0].startswith("study press 1 was changed")
 
 
 def test_old_reference_presses_go_without_a_fault(used: Path, monkeypatch: pytest.MonkeyPatch) -> None:
