@@ -5,13 +5,14 @@ are dropped together and counted. Dropping one for each new frame would keep the
 fault the thread opens the sensor again, with growing pauses.
 """
 
+import logging
 import random
 import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Self
+from typing import Final, Self
 
 from edge.core.backoff import Backoff
 from edge.core.errors import DeviceError, DeviceNotFound, DeviceStalled, FrameCorrupt, RecordingEnded
@@ -22,6 +23,10 @@ from edge.core.sentence import Sentence
 
 __all__ = ["Acquisition", "AcquisitionState", "AcquisitionStatus"]
 
+log = logging.getLogger(__name__)
+
+# A driver returns from each call within a quarter of a second, or when its sensor is open. One that does not hangs.
+STUCK_S: Final = 5.0
 # Frames over which the delivered rate is taken: two seconds at 18.75 fps.
 _RATE_FRAMES = 38
 # Bad frames in sequence for `stall_after_s` are a fault of the stream; after a pause of this computer it takes so many.
@@ -71,7 +76,8 @@ class Acquisition:
     """Owns the sensor from `start` to `close`. A context manager starts and closes it.
 
     open_device: makes one attempt. on_change: called from the reader thread with the status, once per change of state
-    or fault; it must return soon. depth: frames kept for a slow consumer, at most 0.8 s of them.
+    or fault, and from `next` where a driver does not return; it must return soon. depth: frames kept for a slow
+    consumer, at most 0.8 s of them.
     stall_after_s: after this time without a new frame the sensor is opened again. backoff: the pauses between attempts;
     by default the first is at most 0.5 s and the longest 10 s.
 
@@ -109,6 +115,7 @@ class Acquisition:
         self._openings = 0
         self._device: Device | None = None
         self._corrupt_in_a_row = 0
+        self._began_ns: int | None = None  # the step that the reader takes now
         self._last_ns = 0  # of the last frame, or of the opening
         self._thread = threading.Thread(target=self._run, name="acquisition", daemon=True)
 
@@ -135,7 +142,15 @@ class Acquisition:
                 return frame
             if self._ending is not None:
                 raise self._ending
-            return None
+        self._watch_reader()
+        return None
+
+    def _watch_reader(self) -> None:
+        """Report a driver that does not return: its thread cannot, and the last verdict would stand as of now."""
+        began_ns, is_streaming = self._began_ns, self._status.state is AcquisitionState.STREAMING
+        if began_ns is not None and is_streaming and self._clock.monotonic_ns() - began_ns > STUCK_S * 1e9:
+            stuck = Sentence("the sensor's driver does not return; unplug the sensor and plug it in again")
+            self._set(state=AcquisitionState.FAULT, fault=stuck)
 
     def close(self) -> None:
         """Stop reading and release the sensor; may be called again."""
@@ -143,8 +158,11 @@ class Acquisition:
         with self._changed:
             self._changed.notify_all()
         if self._thread.is_alive():
-            self._thread.join()
-        self._give_back()
+            self._thread.join(STUCK_S)
+        if self._thread.is_alive():  # inside the driver, which no other thread may close then
+            log.error("the sensor's driver does not return; the sensor is left as it is")
+        else:
+            self._give_back()
         self._set(state=AcquisitionState.CLOSED, fault=None)
 
     def __enter__(self) -> Self:
@@ -183,7 +201,9 @@ class Acquisition:
         try:
             while not self._closing.is_set():
                 self._await_room()
+                self._began_ns = self._clock.monotonic_ns()
                 pause_s = self.step()
+                self._began_ns = None
                 if pause_s:
                     self._closing.wait(pause_s)
         except RecordingEnded as error:

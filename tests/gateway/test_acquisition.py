@@ -205,6 +205,40 @@ def test_a_pause_of_the_computer_is_not_the_sensors_silence() -> None:
     assert (reader.status.frames, reader.status.reconnects) == (2, 0)
 
 
+def test_a_driver_that_does_not_return_is_a_fault_and_keeps_no_station_from_its_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The reader is inside it, so the consumer says so; with the next frame it is over."""
+    clock, is_inside, may_return = ManualClock(), threading.Event(), threading.Event()
+    device = ScriptedDevice(clock, b"1", b"2", b"3")
+    read = device.read
+
+    def hang(deadline_ns: int) -> CameraFrame:
+        is_inside.set()
+        may_return.wait()
+        return read(clock.monotonic_ns() + 1)
+
+    reader = Reader(clock, [device])
+    reader.step(), reader.step()
+    assert reader.next(0) is not None
+    monkeypatch.setattr(device, "read", hang)
+    monkeypatch.setattr("edge.acquisition.STUCK_S", 0.1)
+    reader.start()
+    is_inside.wait()
+    assert reader.next(0) is None
+    assert reader.status.state is STREAMING
+    clock.sleep(0.2)
+    assert reader.next(0) is None
+    assert reader.said[-1] == (
+        FAULT,
+        "the sensor's driver does not return; unplug the sensor and plug it in again",
+    )
+    reader.close()
+    assert device.closed == 0
+    may_return.set()
+    wait_until(lambda: reader.said[-1][0] is STREAMING)
+
+
 def test_a_sensor_that_is_silent_is_opened_again_after_the_stall_time() -> None:
     """Short waits until the two seconds are over by the clock, then a fault."""
     clock = ManualClock()
