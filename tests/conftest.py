@@ -59,7 +59,7 @@ sys.dont_write_bytecode = False
 @cache
 def find_marker(path: Path) -> str | None:
     """Return the marker that a file's tests have by its place."""
-    return next((marker for place, marker in MARKERS.items() if path.is_relative_to(TESTS / place)), None)
+    return next((mark for place, mark in MARKERS.items() if f"{path}/".startswith(f"{TESTS}/{place}/")), None)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from asyncua import ua
 from handshake_bench import Bench, BenchHandshake
 from opcua_plc import JOBS, RESULT, OpcUaPlc
 
@@ -148,6 +147,8 @@ def test_wrong_arguments_start_no_job(served: Served, plc: OpcUaPlc, arguments: 
 @pytest.mark.parametrize("user", [None, "admin", "Admin"])
 def test_no_node_can_be_written_or_removed(served: Served, user: str | None) -> None:
     """asyncua takes who says so for its administrator, without a password: he could write a pass."""
+    from asyncua import ua
+
     plc = served.client(user)
     for path in VARIABLES:
         node = plc.node(path)
@@ -190,6 +191,8 @@ def test_cables_that_fell_silent_keep_no_plc_out(served: Served, plc: OpcUaPlc) 
 
 def test_requests_that_come_together_see_what_those_before_have_done(served: Served, plc: OpcUaPlc) -> None:
     """Else the pass of the job before is read after the next one has begun."""
+    from asyncua import ua
+
     plc.start_job(1)
     served.bench.press("pass")
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from calibration.metrics import (
     Measure,
@@ -253,7 +253,7 @@ def plain_aupro(maps: list[Array], masks: list[Array], limit: float) -> float:
     pixels = []
     regions = 0
     for score_map, mask in zip(maps, masks, strict=True):
-        labels, count = ndimage.label(mask, structure=np.ones((3, 3)))
+        labels, count = scipy.ndimage.label(mask, structure=np.ones((3, 3)))
         regions += count
         for r, c in np.ndindex(mask.shape):
             area = int((labels == labels[r, c]).sum()) if labels[r, c] else 0

@@ -3,9 +3,6 @@
 import re
 from typing import Any
 
-from asyncua import ua
-from asyncua.sync import Client
-
 from plugins.handshakes.nodes import METHODS, NAMESPACE, VARIABLES
 
 JOBS = "VisionStateMachine/AutomaticModeStateMachine"
@@ -18,6 +15,8 @@ class OpcUaPlc:
     """One session. user: the name that it gives."""
 
     def __init__(self, address: str, user: str | None = None) -> None:
+        from asyncua.sync import Client
+
         self.client: Any = Client(address, timeout=PATIENCE_S, watchdog_intervall=PATIENCE_S)
         if user is not None:
             self.client.set_user(user)
@@ -39,6 +38,8 @@ class OpcUaPlc:
 
     def call(self, path: str, *arguments: Any) -> str:
         """Call a method; return the name of its status code."""
+        from asyncua import ua
+
         assert path in METHODS
         above = path.rpartition("/")[0]
         try:
@@ -48,6 +49,8 @@ class OpcUaPlc:
         return "Good"
 
     def start_job(self, job_id: int, piece: str = "", recipe: str = "") -> str:
+        from asyncua import ua
+
         return self.call(f"{JOBS}/StartSingleJob", ua.Variant(job_id, ua.VariantType.UInt32), piece, recipe)
 
     def acknowledge(self) -> str:

@@ -1,6 +1,7 @@
 """The sentences of the station, as patterns: of every `Sentence("...")` in the source."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -8,6 +9,7 @@ ROOT = Path(__file__).resolve().parents[2]
 NOT_LITERAL = {"'; '.join", "str(error)", "fault", "sensor.fault or "}
 
 
+@cache
 def find_sentences() -> tuple[set[str], set[str]]:
     """Return the patterns, and what else is called a sentence. Examples and checks of plugins have none of the page."""
     patterns, others = set(), set()

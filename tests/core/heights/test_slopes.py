@@ -1,8 +1,8 @@
 """Slopes beside an oracle: the float64 minimum of the same weighed difference, found pixel by pixel."""
 
 import numpy as np
+import scipy
 from lit_surface import MM_PER_PX, calibration, grid
-from scipy.optimize import least_squares
 
 from edge.core.arrays import F64
 from edge.core.heights.calibration import SIZE, place_powers, surface_terms
@@ -16,7 +16,8 @@ def find_minimum(response: F64, rest: F64, height: float, seen: F64) -> F64:
     def differ(part: F64) -> F64:
         return np.asarray(white @ (response @ surface_terms(part, np.float64(height)) - seen))
 
-    part = least_squares(differ, np.zeros(2), xtol=1e-12, ftol=1e-12, gtol=1e-12).x
+    found = scipy.optimize.least_squares(differ, np.zeros(2), xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    part = found.x
     return np.asarray(-part / np.sqrt(1 - part @ part))
 
 

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from imported import scores_of
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
-from scipy.spatial.distance import cdist
 from toy_trunk import features_of, toy_trunk
 
 from calibration.fitting.trunks import Trunk
@@ -110,7 +109,7 @@ def padim_by_script(
 def smoothed(distance: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Bilinear to the frame, then a Gaussian of four pixels, by scipy; the score is the maximum."""
     rows, columns = (upsampling_matrix(n, m) for n, m in zip(distance.shape[1:], FRAME, strict=True))
-    maps = np.stack([gaussian_filter(rows @ one @ columns.T, sigma=4) for one in distance])
+    maps = np.stack([scipy.ndimage.gaussian_filter(rows @ one @ columns.T, sigma=4) for one in distance])
     return maps, maps.max(axis=(1, 2))
 
 
@@ -171,7 +170,7 @@ def spade_by_script(
         flat = one.reshape(len(one), -1).T.astype(np.float64)
         return flat / (np.linalg.norm(flat, axis=1, keepdims=True) + 1e-6) if is_normalised else flat
 
-    apart = cdist(asked["avgpool"][:, :, 0, 0], bank["avgpool"][:, :, 0, 0])
+    apart = scipy.spatial.distance.cdist(asked["avgpool"][:, :, 0, 0], bank["avgpool"][:, :, 0, 0])
     order = np.argsort(apart, axis=1)[:, :k]
     layers = [name for name in bank if name != "avgpool"]
     maps = np.zeros((len(apart), *FRAME))
@@ -179,7 +178,7 @@ def spade_by_script(
         gallery = [rows(one) for one in bank[layer]]
         distance = np.stack(
             [
-                cdist(rows(one), np.concatenate([gallery[j] for j in near]))
+                scipy.spatial.distance.cdist(rows(one), np.concatenate([gallery[j] for j in near]))
                 .min(axis=1)
                 .reshape(one.shape[1:])
                 for one, near in zip(asked[layer], order, strict=True)
@@ -188,9 +187,9 @@ def spade_by_script(
         up = (upsampling_matrix(n, m) for n, m in zip(distance.shape[1:], FRAME, strict=True))
         down, across = up
         maps += down @ distance @ across.T / len(layers)
-    return np.stack([gaussian_filter(one, sigma=4) for one in maps]), np.sort(apart, axis=1)[:, :k].mean(
-        axis=1
-    )
+    return np.stack([scipy.ndimage.gaussian_filter(one, sigma=4) for one in maps]), np.sort(apart, axis=1)[
+        :, :k
+    ].mean(axis=1)
 
 
 @pytest.mark.parametrize("is_normalised", [True, False])
@@ -258,7 +257,7 @@ def fapm_by_script(
         )
         grid = both[:, :, 0].reshape(7, 7, 4, 4).transpose(0, 2, 1, 3).reshape(28, 28)
         up = upsampling_matrix(28, 224)
-        maps.append(gaussian_filter(up @ grid @ up.T, sigma=4))
+        maps.append(scipy.ndimage.gaussian_filter(up @ grid @ up.T, sigma=4))
         flat = both.reshape(-1, 4)
         near = flat[flat[:, 0].argmax()]
         images.append((1 - np.exp(near).max() / np.exp(near).sum()) * flat[:, 0].max())
