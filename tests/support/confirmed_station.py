@@ -1,7 +1,7 @@
 """A station that has judged a few presses of which people may speak, and its bundle, with the tiny detector."""
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -12,6 +12,8 @@ from command_line import gelgate
 from station import Motion, gel, jpeg, press_recording, station_config
 from stepped_station import SteppedStation
 
+from calibration.fitting.presses import nominal_presses
+from edge.core.imaging.region import Region
 from edge.store.acts import CONFIRM, Act
 from edge.store.press_store import Store
 
@@ -19,6 +21,10 @@ from edge.store.press_store import Store
 PLAIN = {"register": "never", "limit": "plain"}
 SETTINGS = [word for name, value in PLAIN.items() for word in ("--set", f"{name}={value}")]
 OPTIONS = ("--part", "bolt", "--method", "tiny", "--backbone", "tiny", *SETTINGS)
+
+
+_read = nominal_presses._read_recording
+_gathered: dict[tuple[str, Region, str], nominal_presses._Gathered] = {}
 
 
 def fit(nominal: Path, output: Path, *more: object) -> None:
@@ -68,9 +74,11 @@ def inspected_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @cache
 def _inspect(folder: Path) -> Judged:
     """Fit and play once for every module."""
-    nominal = press_recording(folder / "nominal", 8, motion=Motion(hold=8), seed=1)
+    nominal = press_recording(folder / "nominal", 8, motion=Motion(free=28, idle=6, hold=8), seed=1)
     fit(nominal, folder / "old", "--set", "gain=2.0")
-    presses = press_recording(folder / "presses", 6, dented=[2, 4], motion=Motion(hold=8, idle=34), seed=7)
+    presses = press_recording(
+        folder / "presses", 6, dented=[2, 4], motion=Motion(free=28, idle=34, hold=8), seed=7
+    )
     with SteppedStation(station_config(folder, presses, folder / "old")) as station:
         station.play_presses(6)
         ids = [result.press_id for result in station.results]
@@ -80,9 +88,27 @@ def _inspect(folder: Path) -> Judged:
 
 
 @pytest.fixture(scope="module")
-def inspected(inspected_folder: Path, other_package: None) -> Judged:
-    """Nothing in its folder may change."""
-    return _inspect(inspected_folder)
+def inspected(inspected_folder: Path, other_package: None) -> Iterator[Judged]:
+    """Nothing in its folder may change: the recording of its nominal presses is read once, and known from then on."""
+    judged = _inspect(inspected_folder)
+
+    def recall(folder: Path, name: str, gathered: nominal_presses._Gathered) -> None:
+        if folder != judged.nominal:
+            _read(folder, name, gathered)
+            return
+        key = (repr(gathered.profile), gathered.region, name)
+        if key not in _gathered:
+            _gathered[key] = nominal_presses._Gathered(gathered.profile, gathered.region)
+            _read(folder, name, _gathered[key])
+        known = _gathered[key]
+        gathered.left_out += [press.name for press in known.presses if press.name in gathered.unwanted]
+        gathered.presses += [press for press in known.presses if press.name not in gathered.unwanted]
+        gathered.free += known.free[: nominal_presses.MAX_NO_CONTACT - len(gathered.free)]
+        gathered.faults += known.faults
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(nominal_presses, "_read_recording", recall)
+        yield judged
 
 
 @pytest.fixture
