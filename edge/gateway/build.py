@@ -96,11 +96,7 @@ def _build(
     by_name: dict[str, PressStage] = {}
     draw_again = _drawer(config, store, lambda: selection.bundles, by_name.values())
     context = _sink_context(config, clock, store, retained_state, commands, draw_again)
-    path, before = config.store.path, _names_before(config)
-    with ExitStack() as opened_sinks:
-        sinks = _open_sinks(config, context, opened_sinks)
-        publisher = Publisher(path, sinks, retained_state, clock, random.Random(), lock=lock, before=before)
-        opened_sinks.pop_all()  # it closes them, and waits for none that does not return
+    publisher = _open_publisher(config, context, retained_state, clock, lock)
     listeners: list[Callable[[Message], object]] = [publisher.announce]
     status = StationStatus(lambda message: [hear(message) for hear in listeners], clock)
     closing.callback(publisher.stop)
@@ -258,6 +254,18 @@ def _list_earlier(store: Store, most: int) -> list[dict[str, Any]]:
         return []
     earlier = [dict(zip(names, row, strict=True)) for row in reversed(rows)]
     return [{**one, "time_ms": one["time_ns"] // 1_000_000} for one in earlier]
+
+
+def _open_publisher(
+    config: Config, context: Station, retained_state: RetainedState, clock: Clock, lock: PublisherLock
+) -> Publisher:
+    """Open the sinks for the publisher, which alone closes them: it waits for none that does not return."""
+    path, before = config.store.path, _names_before(config)
+    with ExitStack() as opened:
+        sinks = _open_sinks(config, context, opened)
+        publisher = Publisher(path, sinks, retained_state, clock, random.Random(), lock=lock, before=before)
+        opened.pop_all()
+    return publisher
 
 
 def _open_sinks(config: Config, context: Station, closing: ExitStack) -> dict[str, Sink]:
