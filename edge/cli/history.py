@@ -85,8 +85,7 @@ def history(
         _verdicts(verdict or []),
         count if output or count or by else PRINTED,
     )
-    path = database_path(config, database)
-    rows = read_history(path, query)
+    rows = read_history(path := database_path(config, database), query)
     if by == "shadow":
         _print_shadows(rows)
     elif by is not None:

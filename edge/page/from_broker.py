@@ -55,9 +55,8 @@ class BrokerStation:
         self._root: str | None = None
         self._others: set[str] = set()
         self._why_away = ""
-        self._silent_at: float | None = (
-            None  # from then on it has been silent for too long; None: it need not speak
-        )
+        # From then on it has been silent for too long; None: it need not speak.
+        self._silent_at: float | None = None
         self._asked: list[tuple[str, queue.SimpleQueue[bytes]]] = []
         self._thread = threading.Thread(target=self._keep_listening, name="page-broker", daemon=True)
 

@@ -134,7 +134,7 @@ def read_history(path: Path, query: HistoryQuery) -> Iterator[HistoryRow]:
 
 
 def count_verdicts(path: Path, query: HistoryQuery) -> Mapping[str, int]:
-    """How many of the presses that fit have each verdict; all of them, whatever `newest` says. Errors: StoreError."""
+    """Count the presses that fit by verdict; all of them, whatever `newest` says. Errors: StoreError."""
     condition, values = query.where()
     with open_read_only(path, "reading the history") as connection:
         counted = f"SELECT verdict, COUNT(*) FROM presses WHERE {condition} GROUP BY verdict ORDER BY verdict"

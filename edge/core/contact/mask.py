@@ -73,8 +73,8 @@ def squared_distance(difference: View) -> NDArray[np.float32]:
 
 
 def largest_colour(picture: NDArray[Level]) -> NDArray[Level]:
-    """The largest of the three colours of each pixel: (h, w). picture: (h, w, 3). NumPy's own loop over three numbers
-    takes ten times as long."""
+    """Return the largest of the three colours of each pixel, (h, w). picture: (h, w, 3). NumPy's own loop over three
+    numbers takes ten times as long."""
     red, green, blue = (picture[..., k] for k in range(3))
     return np.maximum(np.maximum(red, green), blue)
 

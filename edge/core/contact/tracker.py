@@ -127,7 +127,7 @@ class ContactTracker:
 
     @property
     def light(self) -> Light | None:
-        """That of the free gel, once it was learnt here and is known to be one."""
+        """Return that of the free gel, once it was learnt here and is known to be one."""
         return self._light if self._track.is_confirmed else None
 
     @property
