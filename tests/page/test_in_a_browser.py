@@ -88,7 +88,7 @@ def test_a_press_of_before_the_start_is_listed_and_is_not_the_verdict(browser: A
         assert tab.inner_text("#verdict").lower() == "no press yet"
         assert re.search(r"PASS\s+0.70\s+bolt\s+\d{4}-\d\d-\d\d \d\d:\d\d:\d\d", tab.inner_text("#presses"))
 
-        for message in press(2):
+        for message in (state("ready"), *press(2)):
             sink.send(message)
         tab.wait_for_selector("#verdict.pass")
         assert tab.locator("#presses tr").count() == 2
@@ -159,7 +159,8 @@ def test_the_reason_of_a_verdict_is_shown(
 
 def test_a_piece_is_no_pass_before_all_of_it_has_passed(tab: Any, sink: PageSink) -> None:
     """Instead of the pass of a place it says how far it is, and what is to be pressed; a fail is large at once."""
-    sink.send(piece((None, None, None), piece_id=None))
+    for message in (state("ready"), piece((None, None, None), piece_id=None)):
+        sink.send(message)
     tab.wait_for_selector("#pieces", state="visible")
     assert tab.inner_text("#todo") == "Press: bolt/left or bolt/middle or bolt/right"
 
@@ -286,13 +287,17 @@ def test_a_pass_is_shown_only_while_the_station_inspects(tab: Any, sink: PageSin
 
 
 def test_a_gateway_that_is_gone_is_seen(browser: Any, sink: PageSink) -> None:
-    """The page says so, and the last verdict is grey: it is not news."""
+    """The page says so, and it is grey. A pass from before is not there any more: grey, it could be read from afar."""
     one = open_tab(browser, sink.port)
+    for message in (state("ready"), *press(1)):
+        sink.send(message)
+    one.wait_for_selector("#verdict.pass")
 
     sink.close()
 
     one.wait_for_selector("#state.lost")
     assert one.inner_text("#state") == "the gateway does not answer"
+    assert one.text_content("#verdict") == "lost"
     assert one.evaluate("getComputedStyle(document.querySelector('main')).opacity") == "0.35"
     one.close()
 
@@ -309,6 +314,7 @@ def test_a_gateway_that_is_silent_is_seen(tab: Any, sink: PageSink) -> None:
     tab.clock.fast_forward(9_000)
 
     tab.wait_for_selector("body.gone #state.lost")
+    assert tab.text_content("#verdict") == "lost"
 
     tab.unroute("**/live.json*")
     tab.clock.fast_forward(2_000)

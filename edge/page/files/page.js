@@ -381,7 +381,7 @@ function showPresses(presses, piece, state) {
   draw("presses", [newest.map((press) => [press.press_id, press.has_picture]), may("confirm_press")], () => newest.map(showRow));
   at("say-head").hidden = !may("confirm_press");
   const verdict = last ? large(last, piece) : t("no press yet");
-  const said = verdict === "pass" && ["starting", "halted"].includes(state) ? state : verdict; // as lights: nothing is inspected now
+  const said = verdict === "pass" && state !== "ready" ? state : verdict; // as lights: nothing is inspected now
   at("verdict").className = /^(pass|fail|error|unsure|rejected)$/.test(said) ? said : "none";
   put("verdict", t(said));
   at("verdict").style.setProperty("--letters", at("verdict").textContent.length);
@@ -411,9 +411,9 @@ function showPresses(presses, piece, state) {
 function show() {
   if (shown !== null) {
     showStation(shown);
-    const { state } = shown.state || {};
+    const { state } = shown.away ? { state: "lost" } : shown.state || { state: "starting" };
     showPresses(shown.presses, shown.piece, state);
-    showHand(shown.contact, !shown.away && state === "ready");
+    showHand(shown.contact, state === "ready");
     showDrift(shown.drift, lastOf(shown.presses));
   }
 }
@@ -535,11 +535,12 @@ async function look() {
     show();
     setTimeout(look, 0);
   } catch {
+    setTimeout(look, AGAIN_MS);
+    document.body.className = "gone";
+    shown = shown && { ...shown, version: -1, state: { state: "lost" } };
+    show();
     put("state", t("the gateway does not answer"));
     at("state").className = "lost";
-    document.body.className = "gone";
-    shown = shown && { ...shown, version: -1 };
-    setTimeout(look, AGAIN_MS);
   } finally {
     clearTimeout(silence);
   }
