@@ -84,7 +84,7 @@ SCENES: Final = {
     "page_alarm": Scene(
         (*READY, DROPPED, DUE, WORN, *PASSED, *FAILED), (900, 700), is_dark=True, is_unlocked=True
     ),
-    "page_away": Scene((*READY, *PASSED), (900, 480), away=AWAY, waits_for="#verdict.pass"),
+    "page_away": Scene((*READY, *PASSED), (900, 480), away=AWAY, waits_for="#verdict.none"),
 }
 """Name of the file to scene."""
 
