@@ -9,6 +9,7 @@ import logging
 import os
 import socket
 import sqlite3
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import date
@@ -329,6 +330,7 @@ def _answers(options: object, key: str, logs_in: bool) -> str:
     host, port = options.address()
     later = "results will wait in the outbox"
     try:
+        _look_up(host, port)
         with socket.create_connection((host, port), timeout=CONNECT_TIMEOUT_S):
             pass
         if logs_in and isinstance(options, TriesLogin):
@@ -346,3 +348,25 @@ def _answers(options: object, key: str, logs_in: bool) -> str:
         raise ConfigError(f"'{host}' cannot be the name of a host; correct {key}.options.host") from error
     except OSError as error:
         return f"{host}:{port} does not answer ({error.strerror or error}); {later}"
+
+
+def _look_up(host: str, port: int) -> None:
+    """Look a host up, and wait no longer than for a connection: name servers that are away hold a lookup for minutes.
+
+    Errors: TimeoutError, and those of `socket.getaddrinfo`.
+    """
+    faults: list[Exception] = []
+
+    def ask() -> None:
+        try:
+            socket.getaddrinfo(host, port)
+        except (OSError, UnicodeError) as error:
+            faults.append(error)
+
+    lookup = threading.Thread(target=ask, name="look-up", daemon=True)
+    lookup.start()
+    lookup.join(CONNECT_TIMEOUT_S)
+    if lookup.is_alive():
+        raise TimeoutError(f"not looked up in {CONNECT_TIMEOUT_S:.0f} s")
+    for fault in faults:
+        raise fault

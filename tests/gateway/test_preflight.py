@@ -45,6 +45,18 @@ def test_a_name_that_no_host_can_have_is_a_sentence(host: str) -> None:
         try_sink(PluginTable(plugin="mqtt", options={"host": host}), "sinks.1")
 
 
+def test_a_name_server_that_is_silent_keeps_no_station_from_its_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A resolver waits for minutes, and nothing bounds it; results wait in the outbox as for a broker that is away."""
+    ended = threading.Event()
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_: ended.wait())
+    monkeypatch.setattr(module, "CONNECT_TIMEOUT_S", 0.05)
+
+    said = try_sink(PluginTable(plugin="mqtt", options={"host": "broker.plant"}), "sinks.1")
+
+    ended.set()
+    assert "broker.plant:1883 does not answer (not looked up in 0 s); results will wait in the outbox" in said
+
+
 class Counted:
     """The number of calls of each slow step of a start."""
 
