@@ -1,7 +1,7 @@
 """Writes the pages of this folder that are printed from the program: `make docs`. Tests compare page and program.
 
-cli.md from the commands, config.md from the configuration's models and the plugins' options, errors.md from the error
-tree, mqtt.md from the payload models, processors.md from the runs that were sent.
+cli.md from the commands, config.md from the models of the configuration and of plugins, contact.md from the table of
+states, errors.md from the error tree, mqtt.md from the payload models, processors.md from the runs that were sent.
 """
 
 import inspect
@@ -25,6 +25,7 @@ from edge import registry
 from edge.cli import EXIT_MEANINGS, exit_code, place
 from edge.config import Config
 from edge.core import errors
+from edge.core.contact.table import table_markdown
 from edge.core.handshake import CODES
 from edge.gateway.command_table import every_command
 from edge.messaging.topic_reference import reference
@@ -411,6 +412,13 @@ def plc_page() -> str:
     )
 
 
+def contact_page() -> str:
+    """Print the page again with the table of states of the program."""
+    return _print_tables(
+        "contact.md", {"edge/core/contact/table.py": ("", *table_markdown().splitlines(), "")}
+    )
+
+
 def _print_tables(name: str, tables: Mapping[str, Iterable[str]]) -> str:
     """Return a page as it is, with the lines between its marks printed again. tables: by what they are printed from."""
     page, end = (FOLDER / name).read_text(encoding="utf-8"), "<!-- end -->\n"
@@ -520,6 +528,7 @@ def _cell(text: str | None) -> str:
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "cli.md": cli_page,
     "config.md": config_page,
+    "contact.md": contact_page,
     "errors.md": errors_page,
     "parameters.md": parameters_page,
     "mqtt.md": lambda: reference(every_command()),

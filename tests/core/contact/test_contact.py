@@ -1,7 +1,6 @@
 """The contact table, and what a press goes through, on numbers alone."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from contact_frames import (
@@ -33,7 +32,7 @@ from edge.core.contact.rules import gap, relearn, step, trigger
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import Observation
 from edge.core.contact.signals import Track, is_touch, phase_of
-from edge.core.contact.table import TABLE, Signal, State, table_markdown
+from edge.core.contact.table import TABLE, Signal, State
 
 EXTERNAL = ContactSettings(is_external=True)
 
@@ -73,12 +72,6 @@ def test_every_state_can_be_reached_and_left() -> None:
 
 def test_a_blind_frame_moves_nothing() -> None:
     assert all(TABLE[state, Signal.BLIND] is state for state in State)
-
-
-def test_the_manual_shows_this_table() -> None:
-    """docs/contact.md holds the table as the program prints it: paste `table_markdown()` after a change."""
-    page = Path(__file__).parents[3] / "docs" / "contact.md"
-    assert table_markdown() in page.read_text(encoding="utf-8")
 
 
 def springing(relief: float, strength: float) -> list[Observation]:
