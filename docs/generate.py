@@ -1,7 +1,7 @@
 """Writes the pages of this folder that are printed from the program: `make docs`. Tests compare page and program.
 
-cli.md from the commands, config.md from the models of the configuration and of plugins, contact.md from the table of
-states, errors.md from the error tree, mqtt.md from the payload models, processors.md from the runs that were sent.
+`PAGES` lists them: some are printed wholly, as cli.md from the commands, of others a table between two marks, as the table
+of states in contact.md.
 """
 
 import inspect
@@ -21,6 +21,7 @@ from typing import Any, Final, get_args, get_origin, get_type_hints
 import typer
 
 from calibration.fitting.command import fit
+from calibration.training.train_config import TrainConfig
 from edge import registry
 from edge.cli import EXIT_MEANINGS, exit_code, place
 from edge.config import Config
@@ -412,6 +413,15 @@ def plc_page() -> str:
     )
 
 
+def backbone_page() -> str:
+    """Print the page again with the settings of a training run, as the run that ships has them."""
+    values = TrainConfig.shipped()
+    fields = sorted(TrainConfig.model_fields.items())
+    rows = (_row(name, str(getattr(values, name)), field.description) for name, field in fields)
+    heading = "| setting | value | meaning |\n| --- | --- | --- |"
+    return _print_tables("backbone.md", {"calibration/training/train_config.py": ("", heading, *rows, "")})
+
+
 def contact_page() -> str:
     """Print the page again with the table of states of the program."""
     return _print_tables(
@@ -526,6 +536,7 @@ def _cell(text: str | None) -> str:
 
 
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
+    "backbone.md": backbone_page,
     "cli.md": cli_page,
     "config.md": config_page,
     "contact.md": contact_page,
