@@ -1,7 +1,7 @@
 """Writes the pages of this folder that are printed from the program: `make docs`. Tests compare page and program.
 
-`PAGES` lists them: some are printed wholly, as cli.md from the commands, of others a table between two marks, as the table
-of states in contact.md.
+`PAGES` lists them: some are printed wholly, as cli.md from the commands, of others tables between two marks, as that of
+the states in contact.md.
 """
 
 import inspect
