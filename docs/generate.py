@@ -21,6 +21,8 @@ from typing import Any, Final, get_args, get_origin, get_type_hints
 import typer
 
 from calibration.fitting.command import fit
+from calibration.simulator.defects import DEFECTS
+from calibration.simulator.effects import EFFECTS
 from calibration.training.train_config import TrainConfig
 from edge import registry
 from edge.cli import EXIT_MEANINGS, exit_code, place
@@ -429,6 +431,26 @@ def contact_page() -> str:
     )
 
 
+def simulator_page() -> str:
+    """Print the page again with what each defect and effect of the simulator is, from its function."""
+    return _print_tables(
+        "simulator.md",
+        {
+            "calibration/simulator/defects.py": _functions("defect, at severity 1", DEFECTS),
+            "calibration/simulator/effects.py": _functions("effect", EFFECTS),
+        },
+    )
+
+
+def _functions(heading: str, functions: Mapping[str, Callable[..., object]]) -> Iterator[str]:
+    yield f"\n| {heading} | what it is |\n| --- | --- |"
+    yield from (
+        _row(name, (inspect.getdoc(function) or "").partition("\n\n")[0])
+        for name, function in functions.items()
+    )
+    yield ""
+
+
 def _print_tables(name: str, tables: Mapping[str, Iterable[str]]) -> str:
     """Return a page as it is, with the lines between its marks printed again. tables: by what they are printed from."""
     page, end = (FOLDER / name).read_text(encoding="utf-8"), "<!-- end -->\n"
@@ -545,6 +567,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "mqtt.md": lambda: reference(every_command()),
     "plc.md": plc_page,
     "processors.md": processors_page,
+    "simulator.md": simulator_page,
 }
 
 
