@@ -31,6 +31,7 @@ from edge.core import errors
 from edge.core.contact.table import table_markdown
 from edge.core.handshake import CODES
 from edge.gateway.command_table import every_command
+from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.topic_reference import reference
 from plugins.handshakes import nodes, registers
 
@@ -404,6 +405,19 @@ def tree() -> Iterator[tuple[type[errors.GelgateError], str, str]]:
 # The registers of a PLC
 
 
+def operations_page() -> str:
+    """Print the page again with every alarm, as the page at the station says it."""
+    rows = (_row(f"`{name}`", kind.title, _link(kind.what_to_do)) for name, kind in ALARMS.items())
+    heading = "| alarm | what has happened | what to do |\n| --- | --- | --- |"
+    return _print_tables("operations.md", {"edge/messaging/alarm_payload.py": ("", heading, *rows, "")})
+
+
+def _link(text: str) -> str:
+    """Return what is to be done with its links, which the page at the station has not."""
+    text = text.replace("see Gel change", "see [Gel change](#gel-change)")
+    return re.sub(r"see (\w+\.md)", r"see [\1](\1)", text)
+
+
 def plc_page() -> str:
     """Print the page again, with the tables of its map."""
     return _print_tables(
@@ -563,6 +577,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "config.md": config_page,
     "contact.md": contact_page,
     "errors.md": errors_page,
+    "operations.md": operations_page,
     "parameters.md": parameters_page,
     "mqtt.md": lambda: reference(every_command()),
     "plc.md": plc_page,
