@@ -4,6 +4,7 @@
 the states in contact.md.
 """
 
+import ast
 import inspect
 import json
 import re
@@ -13,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import distribution
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path
 from types import NoneType
 from typing import Any, Final, get_args, get_origin, get_type_hints
@@ -33,6 +34,7 @@ from edge.core.handshake import CODES
 from edge.gateway.command_table import every_command
 from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.topic_reference import reference
+from edge.model.manifest import Facts, Manifest
 from plugins.handshakes import nodes, registers
 
 FOLDER: Final = Path(__file__).parent
@@ -438,6 +440,22 @@ def backbone_page() -> str:
     return _print_tables("backbone.md", {"calibration/training/train_config.py": ("", heading, *rows, "")})
 
 
+def bundle_page() -> str:
+    """Print the page again with every field of the manifest, and what is written under it."""
+    rows = (_row(f"`{name}`", text) for name, text in chain(_explained(Facts), _explained(Manifest)))
+    heading = "| field | meaning |\n| --- | --- |"
+    return _print_tables("bundle.md", {"edge/model/manifest.py": ("", heading, *rows, "")})
+
+
+def _explained(model: type) -> Iterator[tuple[str, str]]:
+    """Yield the fields of one class, each with the text under it, where `docs/page.md#section` becomes a link."""
+    body = ast.parse(inspect.getsource(model)).body[0].body  # type: ignore[attr-defined]
+    for field, text in pairwise(body):
+        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
+            linked = re.sub(r"docs/([\w-]+\.md)([#\w-]*)", r"[\1](\1\2)", ast.literal_eval(text.value))
+            yield ast.unparse(field.target), linked
+
+
 def contact_page() -> str:
     """Print the page again with the table of states of the program."""
     return _print_tables(
@@ -573,6 +591,7 @@ def _cell(text: str | None) -> str:
 
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "backbone.md": backbone_page,
+    "bundle.md": bundle_page,
     "cli.md": cli_page,
     "config.md": config_page,
     "contact.md": contact_page,

@@ -254,53 +254,99 @@ class Provenance(Entry):
 
 
 class Facts(Entry):
-    """The manifest without the list of files. revision: rises with every fit of this position; None in old bundles.
-    is_smoothed: whether presses are smoothed before they are scored, as they were before they were learnt. regions:
-    those that a person has drawn; None where none ever was."""
+    """The manifest without the list of files."""
 
     schema_version: Literal[1] = 1
+    """1. A newer one is refused by name: update the gateway."""
     part: Name
+    """The part."""
     position: Name
+    """The place on the part that is pressed."""
     revision: int | None = Field(default=None, ge=1, le=MAX_REVISION)
+    """Rises with every fit of this position; absent in bundles before 0.2.0 and in wrapped ones. A gateway
+    refuses one that is lower than that in use: docs/security.md#an-older-bundle."""
     method: Name
+    """The detector."""
     mode: Mode | None = None
+    """`paper` or `corrected`."""
     parameters: dict[str, Any] = Field(default_factory=dict)
+    """The settings of the detector."""
     repairs: tuple[str, ...] = ()
+    """The corrections of the published method."""
     facts: dict[str, Any] = Field(default_factory=dict)
+    """What the fit learnt or chose: rank, ridge, weights of the backbone; how `free_gel` was estimated, what
+    `dots` of a marker gel were found; `detectability`, the smallest damage found by place
+    (docs/studies.md#probability-of-detection); the `gel` of the presses, where `--gel` named it; of a carried
+    bundle the old one's identity, `carried_from`."""
     profile: SensorProfile
+    """How camera bytes became pictures: border, size, scale, camera controls. A gateway that reads in another
+    way is refused."""
     region: Region
+    """The inspected rectangle of the picture."""
     grid: GridEntry | None = None
+    """The taps with their shapes, for which the head was built; with tiles, their layout and those that no
+    nominal press touches."""
     threshold: ThresholdEntry
+    """A press fails above `value`. `alpha` is the requested rate of false alarms, `alpha_floor` the smallest
+    that presses of this number of `pieces` can guarantee, `rate_range` the range of this bundle's own rate,
+    `by_press` and `by_piece` the rate that it exceeds in one case of ten at most."""
     tolerance: ToleranceEntry
+    """The allowed difference from a score computed at fit; `measured` is the difference found at fit."""
     contact: NominalContact | None = None
+    """Where nominal presses touch: centroid and area, as fractions of the picture."""
     strength: NominalStrength | None = None
+    """How strong their imprints are: lowest, middle and highest, levels; null where the free gel was not
+    seen."""
     colours: ColourEntry | None = None
+    """The coarse colours of nominal presses, and how much a press may differ:
+    docs/bundle.md#another-sensor."""
     dots: DotsEntry | None = None
+    """The dots of a marker gel in pixels of the region, which are filled before anything else
+    (docs/detectors.md#marker-gels). `largest`: the area of the largest in discs of the usual width."""
     is_smoothed: bool = False
+    """Of each press, its dots filled, each pixel becomes the mean of 3x3 by the weights 1, 2, 1 across and
+    down, the border repeated, halves rounded up (docs/detectors.md#noise). The bundle's own pictures are
+    smoothed already."""
     regions: DrawnRegions | None = None
+    """What a person has drawn: polygons in mm with name, kind and factor (docs/limits.md#drawn-regions)."""
     cost: CostCard | None = None
+    """Measured on the machine of the fit."""
     accuracy: dict[str, float] | None = None
+    """Where labelled presses were available."""
     provenance: Provenance
+    """Date, presses, seed, versions, warnings."""
 
 
 class Manifest(Facts):
     """The complete manifest of a bundle.
 
     Either `backbone`, `head` and `bank` (a trunk, a small graph and arrays), or only `detector`: a single graph from
-    frames to score map, such as a third party's, whose bank has at most the weights of drawn regions. free_gel: the
-    region without contact, where tiles may be skipped. free_view: the whole gel as contact detection sees it, by which
-    a start on a pressed gel is noticed. nominal_pictures: what people are shown beside a press; None in old bundles.
+    frames to score map, such as a third party's, whose bank has at most the weights of drawn regions.
     """
 
     backbone: BackboneEntry | None = None
+    """The trunk: file, SHA-256, bytes; `in_bundle` is false where it was left out."""
     head: FileEntry | None = None
+    """The graph after the trunk."""
     detector: FileEntry | None = None
+    """The single graph of a third party's detector."""
     bank: dict[str, ArrayEntry] = Field(default_factory=dict)
+    """Per array: `dtype` and `shape` in use, `packing` as stored, files."""
     golden: tuple[GoldenEntry, ...] = ()
+    """Per frame: its content, its score, and the maxima of 8 x 8 blocks of its map."""
     free_gel: FileEntry | None = None
+    """The region without contact, where tiles may be skipped: docs/detectors.md#large-frames."""
     free_view: FileEntry | None = None
+    """The whole gel without contact, 160x120: a gateway that starts while something presses notices it by
+    this picture."""
     registration: RegistrationEntry | None = None
+    """How a press is brought to the pose of the bank (docs/detectors.md#parts-that-lie-anywhere): pictures of
+    the region, one of them of the limits of the gel, the colours of slopes, whether the part has a turn, and
+    below which limits a press is rejected; absent where presses are scored as they lie."""
     nominal_pictures: PicturesEntry | None = None
+    """What people are shown beside a press that does not pass (docs/operations.md#why-a-press-fails): at most
+    64 pictures of 160 pixels, one below the other, or one mean of 320; absent in old bundles. No score depends
+    on them."""
 
     @model_validator(mode="after")
     def _whole(self) -> "Manifest":
