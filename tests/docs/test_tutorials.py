@@ -1,4 +1,4 @@
-"""docs/tutorials: their files and commands, one after the other in one folder, end as the pages say."""
+"""docs/tutorials.md: files and commands, one section after the other in one folder, end as the page says."""
 
 import os
 import re
@@ -14,7 +14,7 @@ from command_line import gelgate
 
 from edge.messaging.local_broker import LocalBroker
 
-TUTORIALS = Path(__file__).parents[2] / "docs" / "tutorials"
+PAGE = (Path(__file__).parents[2] / "docs" / "tutorials.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -25,15 +25,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     os.chdir(path)
     try:
         with mock.patch("os.cpu_count", return_value=1):
-            (path / "printed.txt").write_text(follow("first_part.md"))
+            (path / "printed.txt").write_text(follow("The first part"))
         yield path
     finally:
         os.chdir(before)
 
 
-def follow(page: str, port: int = 1883) -> str:
-    """Write the files of a page, run its commands, and return what they print."""
-    text = (TUTORIALS / page).read_text(encoding="utf-8").replace("1883", str(port))
+def section(title: str) -> str:
+    return PAGE.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
+
+
+def follow(title: str, port: int = 1883) -> str:
+    """Write the files of a section, run its commands, and return what they print."""
+    text = section(title).replace("1883", str(port))
     printed = []
     for kind, block in re.findall(r"```(\w+)\n(.*?)```", text, re.DOTALL):
         if kind == "console":
@@ -60,8 +64,7 @@ def test_the_first_part_is_judged(folder: Path) -> None:
 
 def test_a_subscriber_prints_every_verdict(folder: Path) -> None:
     """The program of the page hears the five results and ends by itself."""
-    page = (TUTORIALS / "first_subscriber.md").read_text(encoding="utf-8")
-    (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    (program,) = re.findall(r"```python\n(.*?)```", section("The first subscriber"), re.DOTALL)
     with LocalBroker() as broker:
         (folder / "subscriber.py").write_text(program.replace("1883", str(broker.port)))
         with subprocess.Popen(
@@ -69,11 +72,11 @@ def test_a_subscriber_prints_every_verdict(folder: Path) -> None:
         ) as subscriber:
             assert subscriber.stdout is not None
             assert subscriber.stdout.readline() == "listening\n"
-            follow("first_subscriber.md", broker.port)
+            follow("The first subscriber", broker.port)
             heard, _ = subscriber.communicate(timeout=60)
 
     assert [line.split()[1] for line in heard.splitlines()] == ["pass", "pass", "pass", "fail", "fail"]
 
 
 def test_a_model_of_ones_own_gives_verdicts(folder: Path) -> None:
-    assert re.search(r"\n5 presses: ", follow("first_model.md"))
+    assert re.search(r"\n5 presses: ", follow("The first model of your own"))
