@@ -190,9 +190,13 @@ class PressArchive:
     def _write_press(self, press: ArchivedPress, objects: Mapping[Digest, bytes]) -> bytes:
         if not self._is_open:
             self._open()
+        self._make_folders()
         for digest, data in objects.items():
-            if digest not in self._sizes:
-                _write(self._folder / OBJECTS / digest, data)
+            path, is_known = self._folder / OBJECTS / digest, digest in self._sizes
+            # Somebody may have removed what later presses share with earlier ones.
+            if not (is_known and path.exists()):
+                _write(path, data)
+            if not is_known:
                 self._sizes[digest] = len(data)
                 self._bytes += len(data)
                 self._held_bytes += len(data) if digest in self._held else 0
@@ -207,8 +211,7 @@ class PressArchive:
 
     def _open(self) -> None:
         """Read what is there, and remove objects without a press: a killed process left them."""
-        for name in (OBJECTS, PRESSES):
-            (self._folder / name).mkdir(parents=True, exist_ok=True)
+        self._make_folders()
         self._sizes = {file.name: file.stat().st_size for file in (self._folder / OBJECTS).iterdir()}
         for press_id, objects in sorted(_records(self._folder), key=lambda one: self._number.get(one[0], -1)):
             self._add(press_id, objects)
@@ -217,6 +220,10 @@ class PressArchive:
             del self._sizes[digest]
         self._bytes = sum(self._sizes.values())
         self._is_open = True
+
+    def _make_folders(self) -> None:
+        for name in (OBJECTS, PRESSES):
+            (self._folder / name).mkdir(parents=True, exist_ok=True)
 
     def _add(self, press_id: str, objects: tuple[Digest, ...]) -> None:
         if press_id in self._presses:

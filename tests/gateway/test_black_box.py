@@ -371,6 +371,29 @@ def test_a_word_of_nothing_stops_no_press(configure: Configure) -> None:
     assert len(station.results) == 3
 
 
+@pytest.mark.parametrize("removed", ["objects/*", "presses", ""])
+def test_what_was_removed_from_a_running_archive_is_written_again(
+    tmp_path: Path, made: Played, removed: str
+) -> None:
+    """Files or folders, such as to free a disk: what later presses share with earlier ones is there again."""
+    press, archive = made.record(0), PressArchive(tmp_path / "archive", 10, 1 << 20)
+    frame, machine = (hashlib.sha256(data).hexdigest() for data in (b"frame", b"machine"))
+    one = press.model_copy(
+        update={"frame": frame, "machine": machine, "reference": None, "score_map": None, "masked": None}
+    )
+    objects = {frame: b"frame", machine: b"machine"}
+    archive.keep(one.model_copy(update={"press_id": made.ids[0]}), objects)
+    for path in (tmp_path / "archive").glob(removed) if removed else [tmp_path / "archive"]:
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    later = one.model_copy(update={"press_id": made.ids[1]})
+    evidence = archive.keep(later, objects)
+
+    kept = ArchiveFolder(tmp_path / "archive")
+    assert archive.fault is None
+    assert kept.press(made.ids[1], evidence) == later
+    assert [kept.read(digest, "object") for digest in objects] == [*objects.values()]
+
+
 def test_an_archive_that_is_off_keeps_nothing(configure: Configure) -> None:
     """And a replay says so."""
     played, _ = play(configure(tables="[archive]\npresses = 0\n"))
