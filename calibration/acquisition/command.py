@@ -88,6 +88,7 @@ def _stream(given: AcquireArguments, profile: "SensorProfile") -> tuple[Stream, 
     """The presses, their part and position, and how many presses the gel is rated for. Errors: as the sources'."""
     from calibration.acquisition.sources import find_sensor, frames_of, from_frames, from_sources
     from calibration.fitting.presses.recorded_presses import PressFinder
+    from calibration.fitting.presses.sources import DEFAULT_POSITION, check_name
 
     if given.sources:
         found = resolve_sources(given.sources, given.part, given.position, profile)
@@ -102,6 +103,8 @@ def _stream(given: AcquireArguments, profile: "SensorProfile") -> tuple[Stream, 
         return stream, found.part, found.position, DEFAULT_LIMIT_PRESSES
     if given.part is None:
         raise typer.BadParameter("Missing option '--part': a sensor does not know what is pressed.")
+    check_name("--part", given.part)
+    check_name("--position", position := given.position or DEFAULT_POSITION)
     clock = SystemClock()
     sensor = find_sensor(given.config, given.device or "", given.option or (), profile, clock)
     frames = frames_of(sensor, clock, lambda text: typer.echo(text, err=True))
@@ -109,7 +112,7 @@ def _stream(given: AcquireArguments, profile: "SensorProfile") -> tuple[Stream, 
     stream = from_frames(
         ((frame, None) for frame in frames), finder, profile, given.device or str(given.config)
     )
-    return stream, given.part, given.position or "default", sensor.gel_limit
+    return stream, given.part, position, sensor.gel_limit
 
 
 def _run(acquiring: "Acquiring", stream: Stream, limit: int, most: int, go_on: bool) -> None:

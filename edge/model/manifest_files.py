@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from edge.core.imaging.marker_dots import MarkerDots
 
 __all__ = [
+    "LONGEST_NAME",
     "MAX_ARRAY_BYTES",
     "MAX_BUNDLE_BYTES",
     "ArrayEntry",
@@ -39,8 +40,9 @@ RelativeFile = Annotated[
 ]
 """A file of the bundle: at most one folder deep, no leading dot, so neither absolute nor `..`."""
 
-Name = Annotated[str, StringConstraints(min_length=1, max_length=128)]
+LONGEST_NAME: Final = 128
 
+Name = Annotated[str, StringConstraints(min_length=1, max_length=LONGEST_NAME)]
 
 Side = Annotated[int, Field(ge=1, le=LONGEST_SIDE)]
 

@@ -185,6 +185,7 @@ def test_one_piece_alone_is_said(pictures: Path, tmp_path: Path) -> None:
         (("nowhere",), 3, "there is nothing at nowhere"),
         (("black",), 3, "no press was taken: "),
         (("broken",), 3, "frame files"),
+        (("--device", "recorded", "--position", "a\nb"), 3, "--position is a name of 1 to 128"),
         (("--device", "recorded", "--promise", "0"), 3, "--promise lies between 0 and 1"),
         (("--device", "recorded", "--per-piece", "2", "--enter"), 3, "give one of them"),
     ],
@@ -202,7 +203,7 @@ def test_what_cannot_be_acquired_is_one_sentence(
     Path("black").mkdir()
     cv2.imwrite("black/black.png", np.zeros((240, 320, 3), np.uint8))
     shutil.copytree(recording, "broken", ignore=shutil.ignore_patterns("frames"))
-    done = gelgate("bundle", "acquire", *arguments, "-o", "acquired", *OPTIONS[:6])
+    done = gelgate("bundle", "acquire", *OPTIONS[:6], *arguments, "-o", "acquired")
     assert said in done.sentence()
     assert done.code == code
 

@@ -123,6 +123,21 @@ def test_sources_that_are_no_dataset_need_a_part(tmp_path: Path) -> None:
         found(tmp_path / "good", "bolt", holdout=0.2)
 
 
+@pytest.mark.parametrize("name", ["", " ", "a\nb", "a\x1b[2J", "x" * 129])
+@pytest.mark.parametrize("option", ["--part", "--position"])
+def test_a_name_that_no_bundle_may_have_is_refused_before_the_fit(
+    tmp_path: Path, option: str, name: str
+) -> None:
+    """Names stand in manifests, logs and results; an empty position is the usual one."""
+    picture(tmp_path / "good" / "a.png", 1)
+
+    if (option, name) == ("--position", ""):
+        assert found(tmp_path / "good", "bolt", name).position == "default"
+        return
+    with pytest.raises(ConfigError, match=f"{option} is a name of 1 to 128 characters"):
+        found(tmp_path / "good", *(("bolt", name) if option == "--position" else (name, None)))
+
+
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tiff"])
 def test_fit_and_evaluate_see_the_same_pixels(tmp_path: Path, suffix: str) -> None:
     """A picture of a dataset is learnt and scored from equal pixels, in any format."""

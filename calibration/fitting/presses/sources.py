@@ -14,10 +14,20 @@ from calibration.dataset import (
 )
 from calibration.dataset.files import SUFFIXES
 from edge.core.errors import ConfigError, DatasetError, FitError
+from edge.model.manifest_files import LONGEST_NAME
 from edge.recording.format import FRAMES, HEADER
 from edge.recording.from_images import images_in
 
-__all__ = ["Sources", "check_present", "find_sources", "is_dataset", "list_pictures", "name_apart"]
+__all__ = [
+    "DEFAULT_POSITION",
+    "Sources",
+    "check_name",
+    "check_present",
+    "find_sources",
+    "is_dataset",
+    "list_pictures",
+    "name_apart",
+]
 
 DEFAULT_POSITION = "default"
 
@@ -37,6 +47,19 @@ class Sources:
     """The specimen of each picture of a dataset."""
     held_out: tuple[str, ...] = ()
     """The specimens of a dataset that are kept for its evaluation."""
+
+    def __post_init__(self) -> None:
+        check_name("--part", self.part)
+        check_name("--position", self.position)
+
+
+def check_name(option: str, name: str) -> None:
+    """Check a name that results, logs and files carry. Errors: ConfigError, before any work."""
+    if not (0 < len(name) <= LONGEST_NAME and name.isprintable() and name.strip()):
+        raise ConfigError(
+            f"{option} is a name of 1 to {LONGEST_NAME} characters without control characters, found "
+            f"{name[:LONGEST_NAME]!r}; give another"
+        )
 
 
 def is_dataset(source: Path) -> bool:
