@@ -3,17 +3,29 @@
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
 
 import typer
 
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
+from edge.config import load_config
+from edge.core.arrays import U8
+from edge.core.defects import longest_extent
+from edge.core.errors import ConfigError, FrameCorrupt, HeightError, RecordingError
+from edge.core.heights.calibration import SIZE, HeightCalibration
+from edge.core.heights.height_map import HeightMap, find_touched, free_picture, measure_heights
+from edge.core.heights.roughness import CUT_OFFS_MM, measure_roughness
+from edge.core.imaging.decode import decode
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.known_profiles import PROFILES
+from edge.core.imaging.region import Region
 from edge.core.printable import printable
-
-if TYPE_CHECKING:
-    from edge.core.arrays import U8
-    from edge.core.heights.calibration import HeightCalibration
-    from edge.core.heights.height_map import HeightMap
+from edge.heights.files import check_form, encode_heights, read_calibration
+from edge.messaging.payload_base import iso_time
+from edge.recording.format import Recording
+from edge.recording.presses_in import find_settled
+from edge.store.history import find_press
+from edge.store.press_archive import ArchiveFolder
 
 __all__ = ["heights"]
 
@@ -60,13 +72,6 @@ def heights(
     uncertainty; docs/heights.md says what a gel can show, and how well. .png: 16 bits, with its scale as text; .npz:
     for numpy; .x3p: ISO 25178-72.
     """
-    from edge.core.heights.calibration import SIZE
-    from edge.core.heights.height_map import measure_heights
-    from edge.core.heights.roughness import measure_roughness
-    from edge.core.imaging.region import Region
-    from edge.heights.files import encode_heights
-    from edge.messaging.payload_base import iso_time
-
     _check_words(output, cut_off_mm, overwrite=overwrite)
     part = None if region is None else Region.parse(region, SIZE)
     made_with = _find_calibration(calibration, config, is_needed=output is not None or part is not None)
@@ -86,10 +91,6 @@ def heights(
 
 def _check_words(output: Path | None, cut_off_mm: float, *, overwrite: bool) -> None:
     """Errors: ConfigError, HeightError before any work is done."""
-    from edge.core.errors import ConfigError, HeightError
-    from edge.core.heights.roughness import CUT_OFFS_MM
-    from edge.heights.files import check_form
-
     if output is not None:
         check_form(output)
         if output.exists() and not overwrite:
@@ -101,15 +102,11 @@ def _check_words(output: Path | None, cut_off_mm: float, *, overwrite: bool) -> 
         )
 
 
-def _find_calibration(named: Path | None, config: Path, *, is_needed: bool) -> "HeightCalibration | None":
+def _find_calibration(named: Path | None, config: Path, *, is_needed: bool) -> HeightCalibration | None:
     """Find the calibration that is named, else the station's; None without one, an error where one is needed.
 
     Errors: ConfigError.
     """
-    from edge.config import load_config
-    from edge.core.errors import ConfigError
-    from edge.heights.files import read_calibration
-
     path = named or (load_config(config).gel.heights if config.exists() else None)
     if path is None and is_needed:
         raise ConfigError(f"{_UNCALIBRATED}; without -o and --region it is measured in pixels")
@@ -119,8 +116,8 @@ def _find_calibration(named: Path | None, config: Path, *, is_needed: bool) -> "
 class _Shown(NamedTuple):
     """A press and its free gel, uint8 (240, 320, 3) each, of the sensor, from where, and when, Unix time."""
 
-    rgb: "U8"
-    free_rgb: "U8"
+    rgb: U8
+    free_rgb: U8
     serial: str | None
     source: str
     time_ns: int
@@ -130,8 +127,6 @@ def _read_press(
     press: str, number: int, free: Path | None, find_database: Callable[[], Path], archive: Path | None
 ) -> _Shown:
     """Read a press from a recording's folder, from a picture, or from the archive. Errors: GelgateError."""
-    from edge.core.errors import ConfigError
-
     if Path(press).is_dir():
         return _read_recorded(Path(press), number)
     if Path(press).is_file():
@@ -145,29 +140,20 @@ def _read_press(
 
 def _read_pictures(press: Path, free: Path | None) -> _Shown:
     """Read two files. Errors: ConfigError, HeightError."""
-    from edge.core.errors import ConfigError
-
     if free is None:
         raise ConfigError(f"{press} is a picture; give one of the free gel with --free")
     return _Shown(_read_picture(press), _read_picture(free), None, str(press), time.time_ns())
 
 
-def _read_picture(path: Path) -> "U8":
+def _read_picture(path: Path) -> U8:
     """Read a picture of the camera's size, or of 320x240 as the maker crops it. Errors: HeightError."""
-    from edge.core.errors import HeightError
-
     try:
         return _decode(path.read_bytes(), str(path))
     except OSError as error:
         raise HeightError(f"{path} cannot be read: {error.strerror}; name a JPEG or PNG") from error
 
 
-def _decode(payload: bytes, name: str) -> "U8":
-    from edge.core.errors import FrameCorrupt, HeightError
-    from edge.core.imaging.decode import decode
-    from edge.core.imaging.frames import CameraFrame
-    from edge.core.imaging.known_profiles import PROFILES
-
+def _decode(payload: bytes, name: str) -> U8:
     frame = CameraFrame(payload, 0, 0)
     known = {PROFILES[one].native: PROFILES[one] for one in ("mini_lr", "cropped_lr")}
     if frame.size not in known:
@@ -183,11 +169,6 @@ def _decode(payload: bytes, name: str) -> "U8":
 
 def _read_archived(prefix: str, database: Path, archive: Path | None) -> _Shown:
     """Read a press of the archive. Errors: ArchiveError, HeightError."""
-    from edge.core.errors import HeightError
-    from edge.core.heights.height_map import free_picture
-    from edge.store.history import find_press
-    from edge.store.press_archive import ArchiveFolder
-
     known = find_press(database, prefix)
     folder = ArchiveFolder(archive or database.with_suffix(".archive"))
     then = folder.press(known.press_id, known.evidence)
@@ -204,11 +185,6 @@ def _read_archived(prefix: str, database: Path, archive: Path | None) -> _Shown:
 
 def _read_recorded(folder: Path, number: int) -> _Shown:
     """Read a press of a recording. Errors: RecordingError, HeightError."""
-    from edge.core.errors import RecordingError
-    from edge.core.heights.height_map import free_picture
-    from edge.recording.format import Recording
-    from edge.recording.presses_in import find_settled
-
     recording = Recording.open(folder)
     settled = find_settled(recording, number)
     if settled.frame is None or settled.findings is None:
@@ -219,9 +195,6 @@ def _read_recorded(folder: Path, number: int) -> _Shown:
 
 
 def _say_pixels(shown: _Shown) -> None:
-    from edge.core.defects import longest_extent
-    from edge.core.heights.height_map import find_touched
-
     touched = find_touched(shown.rgb, shown.free_rgb)[1]
     typer.echo(
         f"{int(touched.sum())} pixels touched, {longest_extent(touched):.0f} from end to end, in the picture of 320x240"
@@ -229,7 +202,7 @@ def _say_pixels(shown: _Shown) -> None:
     typer.echo(_UNCALIBRATED)
 
 
-def _say(found: "HeightMap") -> None:
+def _say(found: HeightMap) -> None:
     highest = float(found.heights_mm.max())
     u95 = float(found.u95_mm.flat[int(found.heights_mm.argmax())])
     area = float(found.touched.sum()) * found.mm_per_px**2
