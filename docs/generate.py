@@ -30,7 +30,7 @@ from edge.cli import EXIT_MEANINGS, exit_code, place
 from edge.config import Config
 from edge.core import errors
 from edge.core.contact.table import table_markdown
-from edge.core.handshake import CODES
+from edge.core.handshake import Code
 from edge.gateway.command_table import every_command
 from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.topic_reference import reference
@@ -505,7 +505,7 @@ def _registers() -> Iterator[str]:
     yield f"\n{heading}"
     yield from _places((name, count, about) for name, (count, about) in registers.HOLDING.items())
     yield "\n**Codes** of an error and of a refusal:\n\n| code | meaning |\n| --- | --- |"
-    yield from (_row(str(int(code)), meaning) for code, meaning in CODES.items())
+    yield from (_row(str(int(code)), code.meaning) for code in Code)
     yield "\n**Alarm word**; [operations.md](operations.md#alarms) has every alarm:\n\n| bit | alarms |\n| --- | --- |"
     alarms = [", ".join(f"`{one}`" for one in names) for names in registers.ALARM_BITS]
     yield from (_row(str(bit), names) for bit, names in enumerate([*alarms, "every other one"]))

@@ -6,12 +6,11 @@ stays until it is acknowledged. What cannot be judged in time is done, too, as a
 
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import Final, Literal, Protocol, final, runtime_checkable
+from typing import Final, Literal, Protocol, Self, final, runtime_checkable
 
 from edge.core.digital_io import StationView
 
 __all__ = [
-    "CODES",
     "LONGEST_TEXT",
     "LOOP_S",
     "Code",
@@ -37,41 +36,35 @@ HandshakeStep = Literal["idle", "busy", "done"]
 class Code(IntEnum):
     """Why a trigger is refused, or a result is an error. The numbers are part of the register map."""
 
-    NONE = 0
-    BUSY = 1
-    NOT_ACKNOWLEDGED = 2
-    ID_TWICE = 3
-    BAD_VALUE = 4
-    NOT_READY = 5
-    UNKNOWN_PART = 6
-    NO_BEAT = 7
-    TIMED_OUT = 8
-    HALTED = 9
-    NOTHING_PRESSED = 10
-    OTHER_PART = 11
-    NOT_JUDGED = 12
-    PIECE = 13
+    meaning: str
+    """For the manual."""
 
+    def __new__(cls, number: int, meaning: str) -> Self:
+        member = int.__new__(cls, number)
+        member._value_, member.meaning = number, meaning
+        return member
 
-CODES: Final = {
-    Code.NONE: "nothing is refused, and no result is an error",
-    Code.BUSY: "a trigger while busy",
-    Code.NOT_ACKNOWLEDGED: "a trigger before the last result was acknowledged",
-    Code.ID_TWICE: "a trigger with the id of the one before",
-    Code.BAD_VALUE: "a trigger with the id 0, or a text that is not printable ASCII; a trigger coil that was not 0 "
-    "before",
-    Code.NOT_READY: "a trigger while the station does not inspect",
-    Code.UNKNOWN_PART: "a trigger that names a part without a bundle, or with several positions",
-    Code.NO_BEAT: "the PLC's watchdog stands still: a trigger is refused, a result is an error",
-    Code.TIMED_OUT: "no press was judged and recorded in time",
-    Code.HALTED: "the station stopped inspecting before the result was acknowledged",
-    Code.NOTHING_PRESSED: "nothing pressed the gel, or its press had its verdict before the trigger",
-    Code.OTHER_PART: "another part was selected when the press came, so it was not judged",
-    Code.NOT_JUDGED: "the press could not be judged, or ended without a verdict",
-    Code.PIECE: "the piece of several places that the trigger names cannot begin, for its id was used before, or "
-    "was over when the press came",
-}
-"""What each code means, for the manual."""
+    NONE = 0, "nothing is refused, and no result is an error"
+    BUSY = 1, "a trigger while busy"
+    NOT_ACKNOWLEDGED = 2, "a trigger before the last result was acknowledged"
+    ID_TWICE = 3, "a trigger with the id of the one before"
+    BAD_VALUE = (
+        4,
+        "a trigger with the id 0, or a text that is not printable ASCII; a trigger coil that was not 0 before",
+    )
+    NOT_READY = 5, "a trigger while the station does not inspect"
+    UNKNOWN_PART = 6, "a trigger that names a part without a bundle, or with several positions"
+    NO_BEAT = 7, "the PLC's watchdog stands still: a trigger is refused, a result is an error"
+    TIMED_OUT = 8, "no press was judged and recorded in time"
+    HALTED = 9, "the station stopped inspecting before the result was acknowledged"
+    NOTHING_PRESSED = 10, "nothing pressed the gel, or its press had its verdict before the trigger"
+    OTHER_PART = 11, "another part was selected when the press came, so it was not judged"
+    NOT_JUDGED = 12, "the press could not be judged, or ended without a verdict"
+    PIECE = (
+        13,
+        "the piece of several places that the trigger names cannot begin, for its id was used before, or was over "
+        "when the press came",
+    )
 
 
 @dataclass(frozen=True)
