@@ -6,6 +6,7 @@ from typing import Final, Literal, Protocol, get_args, runtime_checkable
 from edge.core.contact_state import ContactState
 
 __all__ = [
+    "LOOP_S",
     "VERDICTS",
     "Actuator",
     "Condition",
@@ -23,6 +24,8 @@ due."""
 
 VERDICTS: Final[tuple[str, ...]] = get_args(Word)
 
+# Without a sign of life for this time the loop hangs, and judges nothing.
+LOOP_S: Final = 5.0
 # As with the messages of a contact: what the loop said longer ago may be of another part.
 _FRESH_NS: Final = 1_000_000_000
 

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Final, Literal, Protocol, Self, final, runtime_checkable
 
-from edge.core.digital_io import StationView
+from edge.core.digital_io import LOOP_S, StationView
 
 __all__ = [
     "LONGEST_TEXT",
-    "LOOP_S",
     "Code",
     "Handshake",
     "HandshakeMachine",
@@ -24,8 +23,6 @@ __all__ = [
     "check_trigger",
 ]
 
-# Without a sign of life for this time the loop hangs, and judges nothing.
-LOOP_S: Final = 5.0
 # The longest piece id and name of a part, in characters.
 LONGEST_TEXT: Final = 32
 _LARGEST_ID: Final = 2**32 - 1

@@ -20,12 +20,13 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
 
 from edge.core.digital_io import Actuator, DiscoveredPort, Trigger
-from edge.core.handshake import HandshakeServer
 from edge.core.ports import Clock, Device, DiscoveredDevice, Sink
 from edge.core.sink_context import Station
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
+
+    from edge.core.handshake import HandshakeServer
 
 __all__ = [
     "ActuatorPlugin",
@@ -188,7 +189,7 @@ class HandshakePlugin(Protocol[OptionsT]):
     @property
     def Options(self) -> type[OptionsT]: ...
 
-    def open(self, options: OptionsT, clock: Clock) -> HandshakeServer:
+    def open(self, options: OptionsT, clock: Clock) -> "HandshakeServer":
         """Take the port; nothing is served before `start`. Errors: ConfigError for a port that cannot be taken, and for
         a package that is not installed."""
 

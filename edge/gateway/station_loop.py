@@ -14,8 +14,8 @@ from typing import Any, Final, TypeVar
 
 from edge.acquisition import Acquisition
 from edge.config import Config
+from edge.core.digital_io import LOOP_S
 from edge.core.errors import DeviceNotFound, RecordingEnded, StoreError
-from edge.core.handshake import LOOP_S
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock
 from edge.gateway.inspection_session import InspectionSession

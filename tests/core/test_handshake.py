@@ -9,8 +9,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from edge.core.digital_io import State, StationView
-from edge.core.handshake import LOOP_S, Code, Trigger, check_trigger
+from edge.core.digital_io import LOOP_S, State, StationView
+from edge.core.handshake import Code, Trigger, check_trigger
 
 
 def test_a_handshake_from_the_trigger_to_the_next() -> None:

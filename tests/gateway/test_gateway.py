@@ -190,6 +190,7 @@ with open_station(load_config(Path({str(config)!r})), SystemClock()):
 
     assert {"edge.model.scorer", "plugins.devices.gelsight_mini"} <= loaded
     assert not loaded & {
+        "edge.core.handshake",
         "edge.core.overview.rules",
         "edge.core.press_again",
         "edge.core.reference_press.charts",
