@@ -11,19 +11,9 @@ from pydantic import ValidationError
 
 from edge.core.ports import Message
 from edge.core.sink_context import topic_level
-from edge.messaging.alarm_payload import Alarm, AlarmPayload, list_alarms
+from edge.messaging.alarm_payload import Alarm, list_alarms
 from edge.messaging.payload_base import Payload
-from edge.messaging.piece_payloads import PiecePayload
-from edge.messaging.result_payload import ReferencePayload, ResultPayload
-from edge.messaging.status_payloads import (
-    ContactPayload,
-    DriftPayload,
-    GelPayload,
-    InfoPayload,
-    QuestionsPayload,
-    StatePayload,
-    StatsPayload,
-)
+from edge.messaging.topics import TOPICS
 from edge.pictures.image_file import content_type, texts
 from edge.store.ulid import is_ulid
 
@@ -54,18 +44,11 @@ SETTLE_S: Final = 0.06
 # The largest payload that is read; those of a station have a few thousand bytes.
 LARGEST_PAYLOAD_BYTES: Final = 64 << 10
 
+# By the first level of a topic.
 _MODELS: Final[Mapping[str, type[Payload]]] = {
-    "state": StatePayload,
-    "info": InfoPayload,
-    "gel": GelPayload,
-    "reference": ReferencePayload,
-    "piece": PiecePayload,
-    "contact": ContactPayload,
-    "questions": QuestionsPayload,
-    "drift": DriftPayload,
-    "stats": StatsPayload,
-    "alarm": AlarmPayload,
-    "result": ResultPayload,
+    topic.name.partition("/")[0]: topic.payload
+    for topic in TOPICS
+    if isinstance(topic.payload, type) and issubclass(topic.payload, Payload)
 }
 
 _STATUS: Final = ("state", "info", "gel", "reference", "piece", "contact", "questions", "drift", "stats")
