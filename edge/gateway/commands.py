@@ -269,15 +269,8 @@ class Commands:
         data: Mapping[str, Any] | None = None,
         is_repeated: bool = False,
     ) -> bytes:
-        return CommandResponse(
-            time_ns=self._clock.time_ns(),
-            transaction=transaction,
-            verb=verb[:64],
-            status="ok" if error is None else "error",
-            error=error,
-            data=dict(data or {}),
-            is_repeated=is_repeated,
-        ).encode()
+        said = {"data": dict(data or {}), "is_repeated": is_repeated}
+        return CommandResponse.of(self._clock.time_ns(), verb, error, transaction, **said).encode()
 
 
 def _transaction(payload: bytes) -> str | None:

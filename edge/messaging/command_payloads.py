@@ -172,6 +172,16 @@ class CommandResponse(Payload):
         description="the request was done before; this is its outcome, and nothing was done now",
     )
 
+    @classmethod
+    def of(
+        cls, time_ns: int, verb: str, error: str | None, transaction: str | None = None, **more: Any
+    ) -> Self:
+        """Answer that it was done, or why not. more: data and is_repeated."""
+        status: Literal["ok", "error"] = "ok" if error is None else "error"
+        return cls(
+            time_ns=time_ns, transaction=transaction, verb=verb[:64], status=status, error=error, **more
+        )
+
 
 # A secret of fewer bytes could be guessed from one request.
 SHORTEST_SECRET: Final = 16

@@ -132,13 +132,7 @@ class Changes:
         return self._station.do(verb, payload)
 
     def _answer(self, verb: str, error: str | None = None) -> bytes:
-        return CommandResponse(
-            time_ns=self._clock.time_ns(),
-            transaction=None,
-            verb=verb,
-            status="ok" if error is None else "error",
-            error=error,
-        ).encode()
+        return CommandResponse.of(self._clock.time_ns(), verb, error).encode()
 
 
 def _digest(token: bytes) -> bytes:

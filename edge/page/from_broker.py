@@ -6,7 +6,7 @@ import queue
 import threading
 import time
 from contextlib import suppress
-from typing import Any, Final
+from typing import Final
 
 from edge.core.errors import GelgateError, SinkError
 from edge.core.ports import Clock, Message
@@ -215,8 +215,7 @@ def page_requests(station: BrokerStation, secret: bytes, clock: Clock) -> PageRe
     table of acts is the station's."""
 
     def answer(verb: str, error: str) -> bytes:
-        refused: dict[str, Any] = {"transaction": None, "verb": verb[:64], "status": "error", "error": error}
-        return CommandResponse(time_ns=clock.time_ns(), **refused).encode()
+        return CommandResponse.of(clock.time_ns(), verb, error).encode()
 
     def do(verb: str, payload: bytes) -> bytes:
         try:
