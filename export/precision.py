@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import cost_card, measure_tolerance, score_again
-from calibration.metrics import aupro
+from calibration.metrics.pixel import aupro
 from calibration.progress import Report
 from calibration.quantise import halved, layers, quantise_graph
 from edge.core.errors import BundleMismatch, FitError

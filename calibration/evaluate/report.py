@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from calibration.evaluate.scoring import Evaluation, ScoredPress
-from calibration.metrics import Measure
+from calibration.metrics.summary import Measure
 from edge.core.arrays import U8
 from edge.model.comparison import outline_regions
 from edge.pictures.press_picture import PressCaption, draw_press

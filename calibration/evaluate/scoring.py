@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calibration.dataset import Dataset, LabelledPress, open_dataset, resolution_of
 from calibration.dataset.press import empty_masks, repeated_pictures
-from calibration.metrics import Measure, measure
+from calibration.metrics.summary import Measure, measure
 from calibration.progress import Show
 from calibration.threads import one_blas_thread
 from edge.core.errors import DatasetError, NotScorable

@@ -45,7 +45,8 @@ from calibration.fitting.fit import Fitted
 from calibration.fitting.options import DEFAULT_METHOD
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
 from calibration.fitting.trunks import DEFAULT_BACKBONE
-from calibration.metrics import aupro, auroc
+from calibration.metrics.pixel import aupro
+from calibration.metrics.summary import auroc
 from calibration.simulator.effects import DEFAULT_EFFECTS
 from calibration.simulator.pose import HeightField, Jitter, Pose
 from calibration.simulator.renderer import Renderer

@@ -19,7 +19,8 @@ from calibration.fitting.limits.held_out import Learner, TapReader, score_held_o
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
-from calibration.metrics import aupro, auroc
+from calibration.metrics.pixel import aupro
+from calibration.metrics.summary import auroc
 from calibration.simulator.defects import DEFECTS
 from calibration.simulator.effects import DEFAULT_EFFECTS
 from calibration.simulator.field_of_view import LR

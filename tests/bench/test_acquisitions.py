@@ -27,7 +27,7 @@ from calibration.fitting.limits.held_out import Learner, covering_bank, score_he
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
-from calibration.metrics import aupro
+from calibration.metrics.pixel import aupro
 from edge import registry
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.imaging.known_profiles import profile

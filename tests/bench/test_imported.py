@@ -24,7 +24,7 @@ from command_line import gelgate
 from numpy.typing import NDArray
 from station import station_config
 
-from calibration.metrics import aupro
+from calibration.metrics.pixel import aupro
 from calibration.simulator.field_of_view import LR
 from calibration.simulator.renderer import Renderer
 from calibration.simulator.scene import load_scene

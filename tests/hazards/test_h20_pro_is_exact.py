@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calibration.metrics import aupro, pixel_measures
+from calibration.metrics.pixel import aupro, pixel_measures
 
 
 def test_sampled_thresholds_would_differ() -> None:

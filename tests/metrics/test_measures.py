@@ -11,18 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from calibration.metrics import (
+from calibration.metrics.aupimo import aupimo_means
+from calibration.metrics.pixel import aupro, pixel_measures, pool_measures
+from calibration.metrics.summary import (
     Measure,
-    aupimo_means,
-    aupro,
     auroc,
     image_weights,
     limit_name,
     measure,
-    pixel_measures,
     specimen_weights,
 )
-from calibration.metrics.pixel import pool_measures
 
 Array = NDArray[Any]
 

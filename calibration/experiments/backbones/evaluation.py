@@ -10,8 +10,8 @@ import numpy as np
 from calibration.experiments.backbones.sets import FORMAT, EvaluationSet, Trial
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.fitting.limits.held_out import Learner, TapReader
-from calibration.metrics import image_weights, interval, pixel_measures
-from calibration.metrics.summary import image_auroc_of
+from calibration.metrics.pixel import pixel_measures
+from calibration.metrics.summary import image_auroc_of, image_weights, interval
 from calibration.simulator.workers import in_order
 from edge import registry
 from edge.core.arrays import F64

@@ -13,9 +13,8 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from calibration.metrics import auroc
 from calibration.metrics.pixel import pool_measures
-from calibration.metrics.summary import recall_at
+from calibration.metrics.summary import auroc, recall_at
 from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Detector, Grid, Mode, Nominal
 from edge.core.errors import FitError, NotScorable

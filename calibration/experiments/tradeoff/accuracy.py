@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.metrics import interval, pixel_measures
-from calibration.metrics.summary import image_auroc_of, recall_at
+from calibration.metrics.pixel import pixel_measures
+from calibration.metrics.summary import image_auroc_of, interval, recall_at
 from edge.core.arrays import F32, F64, Mask
 
 __all__ = ["MEASURES", "Truth", "measure_accuracy"]

@@ -20,7 +20,7 @@ from calibration.experiments.tradeoff.accuracy import Truth
 from calibration.experiments.tradeoff.point import OperatingPoint, Setting
 from calibration.experiments.tradeoff.presses import MOST, Chosen, choose_presses
 from calibration.fitting.trunks import DEFAULT_BACKBONE
-from calibration.metrics import specimen_weights
+from calibration.metrics.summary import specimen_weights
 from edge import registry
 from edge.cli.arguments import add_argument, add_option
 from edge.core.errors import ConfigError

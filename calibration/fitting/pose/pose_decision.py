@@ -20,7 +20,7 @@ from calibration.fitting.presses.augmentation import FEW, Take
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.strangers import list_names
 from calibration.fitting.self_check import AT_CHANCE, may_compare
-from calibration.metrics import auroc
+from calibration.metrics.summary import auroc
 from edge.core.arrays import F64, U8
 from edge.core.detector import Nominal
 from edge.core.errors import FitError

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.experiments.tradeoff.accuracy import MEASURES, Truth, measure_accuracy
-from calibration.metrics import specimen_weights
-from calibration.metrics.summary import recall_at
+from calibration.metrics.summary import recall_at, specimen_weights
 
 SCORES = np.array([1.0, 2.0, 3.0, 4.0, 3.5, 5.0, 6.0])
 IS_DEFECTIVE = np.array([False, False, False, False, True, True, True])
