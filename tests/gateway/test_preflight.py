@@ -45,7 +45,9 @@ def test_a_name_that_no_host_can_have_is_a_sentence(host: str) -> None:
         try_sink(PluginTable(plugin="mqtt", options={"host": host}), "sinks.1")
 
 
-def test_a_name_server_that_is_silent_keeps_no_station_from_its_start(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_name_server_that_is_silent_keeps_no_station_from_its_start(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A resolver waits for minutes, and nothing bounds it; results wait in the outbox as for a broker that is away."""
     ended = threading.Event()
     monkeypatch.setattr(socket, "getaddrinfo", lambda *_: ended.wait())
