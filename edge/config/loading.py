@@ -1,5 +1,6 @@
 """A TOML file to a `Config`: every fault of it in one report, every path made relative to the file."""
 
+import codecs
 import errno
 import tomllib
 from collections import Counter
@@ -28,7 +29,8 @@ def load_config(path: Path, state_dir: Path | None = None) -> Config:
     every fault found.
     """
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        # Editors of Windows begin a file with a byte order mark.
+        table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise ConfigError(
             f"configuration {path} does not exist; `gelgate check --example` prints one"
@@ -145,7 +147,7 @@ def read_secret(path: Path, key: str, shortest: int) -> bytes:
     try:
         if path.is_fifo():  # reading would wait for its writer
             raise OSError(errno.EINVAL, "it is a pipe, expected a file")
-        secret = path.read_bytes().strip()
+        secret = path.read_bytes().removeprefix(codecs.BOM_UTF8).strip()
         rights = path.stat().st_mode
     except OSError as error:
         raise ConfigError(

@@ -26,7 +26,7 @@ def read_password(path: Path) -> str:
     try:
         if path.is_fifo():  # reading would wait for its writer
             raise OSError("it is a pipe, expected a file")
-        password = path.read_text(encoding="utf-8").rstrip("\r\n")
+        password = path.read_text(encoding="utf-8-sig").rstrip("\r\n")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"password file {path} cannot be read: {error}") from error
     if not password:

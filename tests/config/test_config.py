@@ -1,5 +1,6 @@
 """The configuration: what is accepted, and how every fault is told."""
 
+import codecs
 import json
 from pathlib import Path
 
@@ -7,8 +8,10 @@ import pytest
 
 from edge.cli.run import example
 from edge.config import load_config
+from edge.config.loading import read_secret
 from edge.core.digital_io import VERDICTS
 from edge.core.errors import ConfigError
+from edge.messaging.mqtt_broker import read_password
 
 SOUND = """
 version = 1
@@ -141,6 +144,17 @@ def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(ConfigError, match="cannot be read"):
         load_config(path)
+
+
+def test_files_of_a_windows_editor_are_read(tmp_path: Path) -> None:
+    """A byte order mark and CRLF: of a configuration, a password and a secret."""
+    config, secret = tmp_path / "gelgate.toml", tmp_path / "secret"
+    config.write_bytes(codecs.BOM_UTF8 + SOUND.replace("\n", "\r\n").encode())
+    secret.write_bytes(codecs.BOM_UTF8 + b"word\r\n")
+    secret.chmod(0o640)
+
+    assert load_config(config).device.plugin == "recorded"
+    assert (read_password(secret), read_secret(secret, "token_file", 4)) == ("word", b"word")
 
 
 def test_the_tables_in_the_examples_comments_are_sound(tmp_path: Path) -> None:
