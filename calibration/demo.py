@@ -62,7 +62,7 @@ def demo(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for heatmaps, bundle and configuration.")
     ] = Path("demo"),
-    seed: Annotated[int, typer.Option(help="Seed of the bolt and its damage.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the bolt and its damage.")] = 0,
     keep: Annotated[bool, typer.Option("--keep", help="Keep the recordings too, about 190 MB.")] = False,
 ) -> None:
     """Simulate a bolt, fit a bundle, inspect, publish.

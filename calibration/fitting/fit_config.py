@@ -68,6 +68,8 @@ class FitConfig:
     def __post_init__(self) -> None:
         check_alpha(self.alpha)
         check_given(self.threshold)
+        if self.seed < 0:
+            raise FitError(f"a seed is 0 or more, found {self.seed}")
         if self.folds < 2:
             raise FitError(f"a threshold needs at least 2 folds, found {self.folds}")
 

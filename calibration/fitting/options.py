@@ -77,7 +77,7 @@ Settings = Annotated[
         help="A parameter of the fit or of the detector; `gelgate station docs parameters` lists them.",
     ),
 ]
-Seed = Annotated[int, typer.Option(help="Fixes every random choice.")]
+Seed = Annotated[int, typer.Option(min=0, help="Fixes every random choice.")]
 Threads = Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")]
 Overwrite = Annotated[bool, typer.Option(help="Replace an existing bundle.")]
 Revision = Annotated[

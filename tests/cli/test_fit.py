@@ -138,6 +138,7 @@ def test_the_help_shows_twelve_options_and_set_gives_the_rest(pictures: Path, tm
     assert one.model_copy(update={"cost": None}) == two.model_copy(update={"cost": None})
     assert fit(pictures, tmp_path / "b", "--set", "trunk=no").exit_code == 2
     assert fit(pictures, tmp_path / "b", "--set", "folds=1").exit_code == 2
+    assert fit(pictures, tmp_path / "b", "--set", "seed=-1").exit_code == 2
     assert not set(under_set) & {
         field
         for name in registry.names("detectors")

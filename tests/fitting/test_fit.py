@@ -273,6 +273,8 @@ def test_a_fold_has_the_room_of_its_share_of_the_presses(n: int, folds: int, lea
     assert [nominal.room for nominal in watched.fitted] == pytest.approx([1.0] + [learnt / n] * folds)
     with pytest.raises(FitError, match="at least 2 folds"):
         config(folds=1)
+    with pytest.raises(FitError, match="a seed is 0 or more, found -1"):
+        config(seed=-1)
 
 
 def test_equal_presses_and_seed_give_an_equal_bundle() -> None:
