@@ -290,12 +290,15 @@ def _look_alike(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
 
     def loses(press: F32, one: Alignment) -> list[float]:
         """Compute how much less a press agrees that is turned by each of these parts of a turn."""
-        turns = [one.pose.turn_rad + 2 * math.pi / n for n in parts]
+        again = search.find_at(press, [one.pose.turn_rad + 2 * math.pi / n for n in parts])
+        turned = [(each.pose.turn_rad - one.pose.turn_rad) % (2 * math.pi) for each in again]
+        # Of many teeth the next one is found within the same turn, so the count tells them apart.
         return [
-            one.match - again.match
-            if abs(math.remainder(again.pose.turn_rad - turn, 2 * math.pi)) < _SAME_TURN_RAD
+            one.match - each.match
+            if abs(by - 2 * math.pi / n) < _SAME_TURN_RAD
+            and min(round(2 * math.pi / by), _MOST_SYMMETRY) == n
             else 1.0
-            for turn, again in zip(turns, search.find_at(press, turns), strict=True)
+            for n, by, each in zip(parts, turned, again, strict=True)
         ]
 
     of_press = [loses(press, one) for press, one in zip(slopes, found, strict=True)]

@@ -27,7 +27,7 @@ from edge.core.detector import Bank, Features, Nominal
 from edge.core.errors import BundleCorrupt, FitError, PoseNotFound
 from edge.core.imaging.region import Region
 from edge.core.registration.pose import Pose, warp
-from edge.core.registration.registrar import Registrar
+from edge.core.registration.registrar import PartInPose, Registrar
 from edge.model.bundle import Bundle, Graphs
 from edge.model.bundle_writer import bundle_files
 from edge.model.manifest import Facts
@@ -297,17 +297,24 @@ def test_missing_relief_counts_where_its_peak_is_not_seen() -> None:
     )
 
 
-def test_what_is_stored_is_what_was_learnt() -> None:
-    """A bundle read again registers as the fitted one did, and keeps the limits of the gel."""
-    bundle, learnt = registered().bundle(), learnt_from(parts.BLOCK)
-    limits = (1 + np.indices(learnt.part.learnt.shape)[0] / 16).astype(np.float32)
+def store(part: PartInPose) -> PartInPose:
+    """Write a bundle with this part, and read it again."""
+    bundle = registered().bundle()
     facts = Facts(**{name: getattr(bundle.manifest, name) for name in Facts.model_fields})
-    part = replace(learnt.part, gel_limits=limits)
     manifest, files = bundle_files(
         facts, bundle.graphs, Bank(dict(bundle.bank)), backbone="tiny", registration=part
     )
     read = Bundle.in_memory(manifest, files).registration
     assert read is not None
+    return read
+
+
+def test_what_is_stored_is_what_was_learnt() -> None:
+    """A bundle read again registers as the fitted one did, and keeps the limits of the gel."""
+    learnt = learnt_from(parts.BLOCK)
+    limits = (1 + np.indices(learnt.part.learnt.shape)[0] / 16).astype(np.float32)
+    part = replace(learnt.part, gel_limits=limits)
+    read = store(part)
     assert read.gel_limits is not None
     for one, other in ((read.gel_limits, limits), (read.template, part.template), (read.learnt, part.learnt)):
         np.testing.assert_array_equal(one, other)
@@ -319,17 +326,19 @@ def test_what_is_stored_is_what_was_learnt() -> None:
     [
         (parts.BLOCK, 1),
         pytest.param(parts.KEYED, 1, marks=pytest.mark.lab),
-        *((parts.ring(n), n) for n in (2, 6)),
+        *((parts.ring(n), n) for n in (2, 3, 4, 6, 10)),
         (parts.BALL, 0),
     ],
-    ids=["block", "keyed", "2", "6", "ball"],
+    ids=["block", "keyed", "2", "3", "4", "6", "10", "ball"],
 )
 def test_how_often_a_part_looks_the_same_in_a_turn(part: parts.Bumps, symmetry: int) -> None:
-    """Its turn is then found but for steps of that, for each press; a nearly round part keeps all of its turn."""
+    """Its turn is then found but for steps of that, for each press, and the bundle says so; a nearly round part keeps
+    all of its turn."""
     n = 6 if symmetry > 1 else 8
     poses, learnt = parts.poses(n), learnt_from(part, n)
 
     assert learnt.part.symmetry == symmetry
+    assert store(learnt.part).symmetry == symmetry
     if symmetry:
         apart = np.array(
             [pose.turn_rad - one.pose.turn_rad for pose, one in zip(poses, learnt.registered, strict=True)]
