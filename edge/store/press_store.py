@@ -240,8 +240,7 @@ class Store:
 
     def ledger_head(self) -> ledger_chain.Head:
         """The newest link of the ledger: who keeps it can prove later that nothing before it was changed."""
-        with self._database.reading("reading the head of the ledger") as connection:
-            return ledger_chain.head(connection)
+        return self.read("reading the head of the ledger", ledger_chain.head)
 
     def gel(self, serial: str, time_ns: int) -> GelRecord:
         """The gel mounted on this sensor; an unknown sensor gets its first gel."""
@@ -257,8 +256,7 @@ class Store:
 
     def gels(self) -> list[GelRecord]:
         """Every gel, by its sensor, oldest first; a mounted one has no `removed_ns`."""
-        with self._database.reading("reading the gel ledger") as connection:
-            return ledger.history(connection, None, self._warn_fraction)
+        return self.read("reading the gel ledger", lambda c: ledger.history(c, None, self._warn_fraction))
 
     def replace_gel(
         self,
@@ -331,13 +329,11 @@ class Store:
 
     def acts(self, limit: int = 100) -> list[act_table.Act]:
         """The newest acts, newest first."""
-        with self._database.reading("reading the acts") as connection:
-            return act_table.newest(connection, limit)
+        return self.read("reading the acts", lambda connection: act_table.newest(connection, limit))
 
     def newest_revision(self, part: PartPosition) -> int | None:
         """Read the revision of the newest bundle in use for this position; None where no bundle had one."""
-        with self._database.reading(f"reading the revision of {part}") as connection:
-            return bundles_in_use.revision(connection, part)
+        return self.read(f"reading the revision of {part}", lambda c: bundles_in_use.revision(c, part))
 
     def use_bundle(
         self,

@@ -1,7 +1,6 @@
 """A verdict made again, from the archived camera bytes and the bundle with the recorded hash: bit for bit, or not."""
 
 import hashlib
-import io
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -102,11 +101,9 @@ def judge_as_then(press: ArchivedPress, archive: ArchiveFolder, inspector: Inspe
 
 def _light_as_then(press: ArchivedPress, archive: ArchiveFolder, inspector: Inspector) -> None:
     """Follow the light as it was followed then; a bundle of another fit follows it by the free gel of then."""
-    if inspector.bundle.digest == press.bundle_id or press.reference is None:
+    if inspector.bundle.digest == press.bundle_id or (free := archive.read_reference(press)) is None:
         inspector.set_light(None if press.light is None else FollowedLight(*press.light))
     else:
-        data = archive.read(press.reference, f"the free gel of press {press.press_id}")
-        free = np.load(io.BytesIO(data), allow_pickle=False)
         inspector.new_gel = free if press.light is not None and len(press.light) > 2 else None
         inspector.follow_light(free)
 
