@@ -11,6 +11,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
+import numpy as np
+
 from edge.core.errors import DatasetError
 from edge.core.imaging.image_bytes import damage, kind, picture_size, with_comment
 from edge.core.imaging.quality import BLACK_LEVEL
@@ -120,9 +123,6 @@ def _add_shot(writer: RecordingWriter, shot: _Shot, plan: PressLift) -> None:
 
 def _with_noise(original: bytes, plan: PressLift, position: int) -> bytes:
     """The picture with noise from seed and position, in the same file format, JPEG quality 95."""
-    import cv2
-    import numpy as np
-
     bgr = cv2.imdecode(np.frombuffer(original, np.uint8), cv2.IMREAD_COLOR)
     if bgr is None:
         raise DatasetError(f"an image of {len(original)} bytes cannot be decoded")
@@ -158,9 +158,6 @@ def _common_size(images: Sequence[Path]) -> tuple[int, int]:
 
 def _darkness(payload: bytes) -> str | None:
     """Say why a picture does not show a lit sensor, or None; one that cannot be decoded is named elsewhere."""
-    import cv2
-    import numpy as np
-
     small = cv2.imdecode(np.frombuffer(payload, np.uint8), cv2.IMREAD_REDUCED_COLOR_8)
     if small is None or float(small.mean()) >= BLACK_LEVEL:
         return None
