@@ -1,13 +1,19 @@
-"""Text from elsewhere, for a terminal."""
+"""Texts and numbers as a terminal or a file shows them."""
 
+import json
 import math
 
-__all__ = ["printable", "score_texts", "write_count", "write_most"]
+__all__ = ["printable", "score_texts", "toml_string", "write_count", "write_most"]
 
 
 def printable(text: object) -> str:
     """The text with every control character as its escape, so that a terminal shows it and does not obey it."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+
+
+def toml_string(text: str) -> str:
+    """The text as a TOML file has it: a JSON string, but for DEL, which TOML wants escaped."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def write_count(n: int, noun: str) -> str:

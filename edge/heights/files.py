@@ -5,7 +5,6 @@ And a gel's calibration of heights, as `gelgate lab calibrate --heights` writes 
 
 import hashlib
 import io
-import json
 import tomllib
 import zipfile
 from collections.abc import Callable, Mapping
@@ -20,6 +19,7 @@ from pydantic import BaseModel, Field, ValidationError
 from edge.core.errors import ConfigError
 from edge.core.heights.calibration import HeightCalibration
 from edge.core.heights.height_map import HeightMap
+from edge.core.printable import toml_string
 from edge.pictures.image_file import encode
 from edge.validation_messages import numbered, sentences
 
@@ -169,8 +169,8 @@ def read_calibration(path: Path) -> HeightCalibration:
 
 def write_calibration(made: HeightCalibration) -> str:
     """Return the file's text, with as many digits as a fit is worth."""
-    lines = ["version = 1", 'kind = "heights"', f"name = {_quote(made.name)}"]
-    lines += [] if made.serial is None else [f"serial = {_quote(made.serial)}"]
+    lines = ["version = 1", 'kind = "heights"', f"name = {toml_string(made.name)}"]
+    lines += [] if made.serial is None else [f"serial = {toml_string(made.serial)}"]
     lines += [] if made.made_on is None else [f"made_on = {made.made_on}"]
     for key in ("mm_per_px", "scale_u95", "floor_u95_mm", "height_u95", "noise_mm"):
         lines.append(f"{key} = {getattr(made, key):.5g}")
@@ -178,8 +178,3 @@ def write_calibration(made: HeightCalibration) -> str:
         rows = "\n".join(f"  {row}," for row in getattr(made, key).round(digits).tolist())
         lines.append(f"{key} = [\n{rows}\n]")
     return "\n".join(lines) + "\n"
-
-
-def _quote(text: str) -> str:
-    """Return a text as TOML has it: a JSON string, but for DEL."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -24,6 +24,7 @@ from edge.core.errors import PressesMissed, RecordingError, StoreError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import kind
 from edge.core.ports import DeviceIdentity
+from edge.core.printable import toml_string
 
 __all__ = [
     "DELIVERED_SHARE",
@@ -265,18 +266,14 @@ class RecordingWriter:
 
 
 def _header_text(header: RecordingHeader) -> str:
-    def quoted(text: str) -> str:
-        # A JSON string is a TOML basic string except for DEL, which TOML wants escaped.
-        return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
     return (
         f"version = {VERSION}\n"
-        f"product = {quoted(header.product)}\n"
-        f"serial = {quoted(header.serial)}\n"
+        f"product = {toml_string(header.product)}\n"
+        f"serial = {toml_string(header.serial)}\n"
         f"width = {header.mode[0]}\n"
         f"height = {header.mode[1]}\n"
         f"nominal_fps = {float(header.nominal_fps)!r}\n"
-        f"profile = {quoted(header.profile)}\n"
+        f"profile = {toml_string(header.profile)}\n"
     )
 
 
