@@ -177,15 +177,6 @@ class TestFaults:
         device.close()
         assert read(plugin.open(options, clock), clock) == jpeg(1)
 
-    def test_faults_at_run_time(self, tmp_path: Path, clock: ManualClock) -> None:
-        """A test can damage the next frame of a running sensor."""
-        options = options_for(tmp_path)
-        device = plugin.open(options, clock)
-        assert read(device, clock) == jpeg(0)
-        plugin.bench(options).sensor.inject("truncate")
-        with pytest.raises(FrameCorrupt):
-            read(device, clock)
-
     def test_wrong_size_is_corrupt(self, tmp_path: Path, clock: ManualClock) -> None:
         """A picture of another size than the negotiated mode is refused, with both sizes."""
         folder = write_recording(tmp_path / "r", [jpeg(0), jpeg(0, (32, 32))])

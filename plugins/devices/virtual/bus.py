@@ -154,9 +154,6 @@ class VirtualBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb is untype
             raise usb_error(errno.ENOENT)
         return VirtualPacketStream(camera, self._clock, packet_bytes)
 
-    def clear_halt(self, dev_handle: Handle, ep: int) -> None:
-        dev_handle.live_camera()
-
     def reset_device(self, dev_handle: Handle) -> None:
         """A reset ends a stall; the kernel binds its driver again where no handle holds the interface."""
         camera = dev_handle.live_camera()

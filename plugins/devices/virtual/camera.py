@@ -93,7 +93,7 @@ class VirtualCamera:
         self._due_ns: int | None = None
         self._played_ns = 0
         self._return_ns: int | None = None
-        self._is_present = False
+        self.is_present = False
         self._forget_host()
 
     def _forget_host(self) -> None:
@@ -114,27 +114,18 @@ class VirtualCamera:
             self.port = self.port if port is None else port
             self._forget_host()
             self._return_ns = None
-            self._is_present = True
+            self.is_present = True
 
     def unplug(self, seconds: float = 0.0) -> None:
         """Disconnect, for this many seconds or (0) until it is plugged in again."""
         with self._guard:
-            self._is_present = False
+            self.is_present = False
             self._return_ns = self._clock.monotonic_ns() + round(seconds * 1e9) if seconds else None
-
-    @property
-    def is_present(self) -> bool:
-        return self._is_present
 
     @property
     def wants_back(self) -> bool:
         """True when the time of an unplugging is over."""
         return self._return_ns is not None and self._clock.monotonic_ns() >= self._return_ns
-
-    def inject(self, kind: FaultKind) -> None:
-        """Make the next frame faulty."""
-        with self._guard:
-            self._script[self._number] = Fault(kind, self._number)
 
     # Control pipe
 
