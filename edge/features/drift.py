@@ -1,7 +1,7 @@
 """Drift of ordinary production: charts of the passing presses, and an alarm with what has shifted and what to do."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Final, Self
 
 import numpy as np
@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from edge.core.contact.events import PressSettled
 from edge.core.contact.reference import View
 from edge.core.drift import LEARNT, MEASURES, DriftChart, H
-from edge.core.ports import Clock, Message
 from edge.core.press import Press
 from edge.core.reference_press.outcome import Imprint, Measure
 from edge.core.sentence import join_sentences
 from edge.core.verdict import Kind
 from edge.messaging.status_payloads import ChartPart, DriftPayload
 from edge.model.inspector import Inspector
-from edge.press_stage import Alarms, PressStage, StageParts
+from edge.press_stage import PressStage, StageParts
 from edge.store.gel_files import GelFiles
 from edge.store.gel_ledger import GelRecord
 
@@ -36,10 +35,9 @@ Charts = dict[str, DriftChart]
 class DriftWatch(PressStage):
     """Charts of each bundle on the mounted gel; another gel begins new ones."""
 
-    def __init__(
-        self, folder: GelFiles, alarms: Alarms, announce: Callable[[Message], object], clock: Clock
-    ) -> None:
-        self._folder, self._alarms, self._announce, self._clock = folder, alarms, announce, clock
+    def __init__(self, parts: StageParts) -> None:
+        self._folder = GelFiles(parts.config.store.path.with_suffix(".references"))
+        self._alarms, self._announce, self._clock = parts.alarms, parts.announce, parts.clock
         self._serial, self._gel_id, self._unsaved = "", "", 0
         self._bundles: dict[int, Charts] = {}
         self._bundle = 0
@@ -50,8 +48,7 @@ class DriftWatch(PressStage):
     @classmethod
     def open(cls, parts: StageParts) -> Self:
         """Charts are kept next to the database, with the gel's pictures."""
-        folder = GelFiles(parts.config.store.path.with_suffix(".references"))
-        return cls(folder, parts.alarms, parts.announce, parts.clock)
+        return cls(parts)
 
     def mount(self, gel: GelRecord) -> None:
         """Go on with the charts of this gel; an unknown one has none."""

@@ -2,11 +2,10 @@
 
 import logging
 from functools import partial
-from typing import Final, Literal, Self
+from typing import Final, Self
 
 from edge.core.gel_proof import GelProof, MadeOn
 from edge.core.imaging.quality import Reason, Rejection
-from edge.core.ports import Clock
 from edge.core.press import Press, ReferenceLabel
 from edge.core.sentence import Sentence
 from edge.core.verdict import Kind
@@ -14,13 +13,12 @@ from edge.messaging.command_payloads import NoArguments
 from edge.model.inspector import Inspector
 from edge.model.manifest import Facts
 from edge.model.manifest_facts import GEL
-from edge.press_stage import Alarms, Command, Data, Mounted, PressStage, StageParts
+from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
 from edge.store import gel_proofs
 from edge.store.gel_ledger import GelRecord
 from edge.store.gel_proofs import GelBundle
 from edge.store.person_verdicts import newest_acts
 from edge.store.press_archive import ArchiveFolder
-from edge.store.press_store import Store
 
 __all__ = ["GelProofWatch", "read_origin"]
 
@@ -31,19 +29,11 @@ LOOK_S: Final = 1.0
 
 
 class GelProofWatch(PressStage):
-    """Counts the presses that prove a bundle on a gel.
+    """Counts the presses that prove a bundle on a gel."""
 
-    unproven: what happens while a bundle is not proven: `off`, `warn` or `refuse`.
-    """
-
-    def __init__(
-        self,
-        unproven: Literal["off", "warn", "refuse"],
-        store: Store,
-        alarms: Alarms,
-        clock: Clock,
-    ) -> None:
-        self._unproven, self._store, self._alarms, self._clock = unproven, store, alarms, clock
+    def __init__(self, parts: StageParts) -> None:
+        self._unproven, self._clock = parts.config.gel.unproven, parts.clock
+        self._store, self._alarms = parts.store, parts.alarms
         self._made = MadeOn("")  # of no bundle; `use` comes before the first turn
         self._mounted: Mounted | None = None
         self._sentence: Sentence | None = None
@@ -52,7 +42,7 @@ class GelProofWatch(PressStage):
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
-        return cls(parts.config.gel.unproven, parts.store, parts.alarms, parts.clock)
+        return cls(parts)
 
     def use(self, inspector: Inspector) -> None:
         """Take what this bundle says of its own gel."""

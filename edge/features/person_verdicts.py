@@ -1,6 +1,6 @@
 """What people say of presses: an act of the ledger each, and the presses that a page asks about."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import date
 from functools import partial
 from typing import Final, Self
@@ -19,13 +19,12 @@ from edge.core.person_verdict import (
     find_broken_promise,
     settle,
 )
-from edge.core.ports import Clock, Message
 from edge.core.press import Press
 from edge.core.sentence import Sentence
 from edge.messaging.command_payloads import CommandArguments, PlainText
 from edge.messaging.payload_base import PressId
 from edge.messaging.status_payloads import Question, QuestionsPayload
-from edge.press_stage import Alarms, Command, Data, Mounted, PressStage, Selection, StageParts
+from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
 from edge.store.acts import CONFIRM
 from edge.store.gel_ledger import GelRecord
 from edge.store.gel_proofs import GelBundle, unproven_since, used_since
@@ -38,7 +37,6 @@ from edge.store.person_verdicts import (
     read_verdicts,
 )
 from edge.store.press_archive import ArchiveFolder
-from edge.store.press_store import Store
 
 __all__ = ["PersonVerdicts"]
 
@@ -68,20 +66,17 @@ class ConfirmPressArguments(CommandArguments):
 
 
 class PersonVerdicts(PressStage):
-    """Takes what people say, asks for it, and says which damage has passed. per_day: questions of a day at most; 0:
-    none is asked."""
+    """Takes what people say, asks for it, and says which damage has passed.
 
-    def __init__(
-        self,
-        per_day: int,
-        store: Store,
-        announce: Callable[[Message], object],
-        alarms: Alarms,
-        selection: Selection,
-        clock: Clock,
-    ) -> None:
-        self._per_day, self._store, self._announce, self._clock = per_day, store, announce, clock
-        self._alarms, self._selection = alarms, selection
+    Without the verb nobody could answer, and without the archive nobody could look, so nothing is asked.
+    """
+
+    def __init__(self, parts: StageParts) -> None:
+        table, archive = parts.config.commands, parts.config.archive
+        is_served = CONFIRM in (*table.unsigned, *table.signed, *table.page)
+        self._per_day = parts.config.confirm.questions_per_day if is_served and archive.presses else 0
+        self._store, self._announce, self._clock = parts.store, parts.announce, parts.clock
+        self._alarms, self._selection = parts.alarms, parts.selection
         self._after = 0
         self._acts = (0, 0)
         self._presses: list[Asked] = []
@@ -95,11 +90,7 @@ class PersonVerdicts(PressStage):
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
-        """Without the verb nobody could answer, and without the archive nobody could look, so nothing is asked."""
-        table, archive = parts.config.commands, parts.config.archive
-        is_served = CONFIRM in (*table.unsigned, *table.signed, *table.page)
-        per_day = parts.config.confirm.questions_per_day if is_served and archive.presses else 0
-        stage = cls(per_day, parts.store, parts.announce, parts.alarms, parts.selection, parts.clock)
+        stage = cls(parts)
         stage._show(0, [])  # a question of an earlier start is no longer asked
         return stage
 

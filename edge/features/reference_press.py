@@ -8,11 +8,11 @@ from typing import Final, Self
 
 from pydantic import Field
 
-from edge.config.feature_tables import MasterPieceTable, ReferenceTable
+from edge.config.feature_tables import MasterPieceTable
 from edge.core.contact.events import PressSettled
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.part_position import PartPosition
-from edge.core.ports import Clock, Message
+from edge.core.ports import Message
 from edge.core.press import Press, PressLabel, ReferenceLabel
 from edge.core.reference_press.charts import ReferencePress, judge, why_due
 from edge.core.reference_press.outcome import Imprint, Outcome
@@ -23,11 +23,11 @@ from edge.messaging.command_payloads import CommandArguments, PlainText
 from edge.messaging.reference_message import describe_reference_press
 from edge.messaging.result_payload import ResultPayload
 from edge.model.inspector import Inspector
-from edge.press_stage import Alarms, Command, Data, Mounted, OwnTable, PressStage, StageParts
+from edge.press_stage import Command, Data, Mounted, OwnTable, PressStage, StageParts
 from edge.store import reference_presses
 from edge.store.acts import Act
 from edge.store.gel_ledger import GelRecord
-from edge.store.press_store import PressRecord, Store
+from edge.store.press_store import PressRecord
 from edge.store.reference_presses import PieceKey, ReferenceRequest
 from edge.store.reference_presses import ReferenceTable as PieceTable
 
@@ -63,11 +63,9 @@ class _Armed:
 class ReferenceGuard(PressStage):
     """Knows which press is a master piece's, measures it, and refuses parts while one is due or out of limits."""
 
-    def __init__(self, table: ReferenceTable, store: Store, alarms: Alarms, clock: Clock) -> None:
-        self._table = table
-        self._store = store
-        self._alarms = alarms
-        self._clock = clock
+    def __init__(self, parts: StageParts) -> None:
+        self._table, self._clock = parts.config.reference, parts.clock
+        self._store, self._alarms = parts.store, parts.alarms
         self._mounted: Mounted | None = None
         self._armed: _Armed | None = None
         self._void: Sentence | None = None  # why the press that has begun is rejected
@@ -78,7 +76,7 @@ class ReferenceGuard(PressStage):
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
-        return cls(parts.config.reference, parts.store, parts.alarms, parts.clock)
+        return cls(parts)
 
     def request(self, piece: str | None, *, is_start: bool = False) -> ReferenceLabel:
         """The next press is that of this master piece. piece: may be None where there is one. Errors: ValueError."""

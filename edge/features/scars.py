@@ -23,7 +23,7 @@ from edge.core.sentence import Sentence
 from edge.core.verdict import Blame, Cause, Kind
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
-from edge.press_stage import Alarms, PressStage, StageParts
+from edge.press_stage import PressStage, StageParts
 from edge.store.gel_files import GelFiles
 from edge.store.gel_ledger import GelRecord
 
@@ -38,16 +38,12 @@ _NOWHERE: Final = Blame(
 
 
 class ScarWatch(PressStage):
-    """Finds whether gel or part is the cause, and leaves known scars out. It says what is wrong with the gel.
+    """Finds whether gel or part is the cause, and leaves known scars out. It says what is wrong with the gel."""
 
-    is_masking: known scars are not judged. most_blind_share: of the contact, above which no press passes.
-    """
-
-    def __init__(
-        self, folder: GelFiles, alarms: Alarms, *, is_masking: bool, most_blind_share: float
-    ) -> None:
-        self._folder, self._alarms = folder, alarms
-        self._is_masking, self._most_blind_share = is_masking, most_blind_share
+    def __init__(self, parts: StageParts) -> None:
+        table, self._alarms = parts.config.gel, parts.alarms
+        self._folder = GelFiles(parts.config.store.path.with_suffix(".references"))
+        self._is_masking, self._most_blind_share = table.scars == "masked", table.most_blind_share
         self._free = FreeViews()
         self._left: View | None = None
         self._is_left_known = True
@@ -58,9 +54,7 @@ class ScarWatch(PressStage):
     @classmethod
     def open(cls, parts: StageParts) -> Self:
         """Scars are kept next to the database."""
-        table, folder = parts.config.gel, parts.config.store.path.with_suffix(".references")
-        is_masking, share = table.scars == "masked", table.most_blind_share
-        return cls(GelFiles(folder), parts.alarms, is_masking=is_masking, most_blind_share=share)
+        return cls(parts)
 
     def mount(self, gel: GelRecord) -> None:
         """Read the record of this gel, and keep that of the one before; an unknown gel has none."""

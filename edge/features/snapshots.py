@@ -6,7 +6,7 @@ They are written in the background, so no press waits for a disk.
 import logging
 import shutil
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -18,12 +18,10 @@ from pydantic import Field
 from edge.background import Background
 from edge.core.errors import GelgateError
 from edge.core.imaging.frames import CameraFrame
-from edge.core.ports import Clock, DeviceIdentity
 from edge.messaging.command_payloads import CommandArguments
 from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
 from edge.recording.format import RecordingHeader, RecordingWriter
 from edge.store.acts import Act
-from edge.store.press_store import Store
 
 __all__ = ["KEPT", "RING_BYTES", "Snapshots"]
 
@@ -62,20 +60,13 @@ class _Wish:
 class Snapshots(PressStage):
     """Keeps the newest frames, and writes those of a wish. The loop alone calls it.
 
-    folder: of all snapshots. find_sensor: returns the sensor, None while it is not known. find_low_space: returns why
-    nothing more may be written. store: has each snapshot in its table of acts.
+    Each snapshot is in the store's table of acts.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        clock: Clock,
-        store: Store,
-        find_sensor: Callable[[], DeviceIdentity | None],
-        find_low_space: Callable[[], str | None],
-    ) -> None:
-        self._folder, self._clock, self._store = folder, clock, store
-        self._find_sensor, self._find_low_space = find_sensor, find_low_space
+    def __init__(self, parts: StageParts) -> None:
+        self._folder = parts.config.store.path.with_suffix(".snapshots")
+        self._clock, self._store = parts.clock, parts.store
+        self._find_sensor, self._find_low_space = parts.find_sensor, parts.find_low_space
         self._ring: deque[CameraFrame] = deque()
         self._bytes = 0
         self._wish: _Wish | None = None
@@ -85,8 +76,7 @@ class Snapshots(PressStage):
     @classmethod
     def open(cls, parts: StageParts) -> Self:
         """Snapshots are kept next to the database."""
-        folder = parts.config.store.path.with_suffix(".snapshots")
-        return cls(folder, parts.clock, parts.store, parts.find_sensor, parts.find_low_space)
+        return cls(parts)
 
     def start(self) -> None:
         self.worker.start()

@@ -35,7 +35,9 @@ def bench(folder: Path, frames: int = 100, size: int = 10) -> Snapshots:
 
 
 def made(folder: Path, clock: ManualClock) -> Snapshots:
-    return Snapshots(folder / "snapshots", clock, Mock(), lambda: SENSOR, lambda: None)
+    parts = Mock(clock=clock, find_sensor=lambda: SENSOR, find_low_space=lambda: None)
+    parts.config.store.path = folder / "gelgate.db"
+    return Snapshots(parts)
 
 
 def written(found: Snapshots) -> Act:
@@ -90,7 +92,7 @@ def test_memory_is_bounded_by_time_and_by_bytes(tmp_path: Path, monkeypatch: pyt
 
 def test_a_snapshot_has_its_name_when_it_is_complete(tmp_path: Path) -> None:
     """While its frames are written the name is hidden; what a killed process left hidden is removed."""
-    folder = tmp_path / "snapshots"
+    folder = tmp_path / "gelgate.snapshots"
     (folder / ".left").mkdir(parents=True)
     names: list[list[str]] = []
 
@@ -120,12 +122,12 @@ def test_the_oldest_snapshots_make_room(tmp_path: Path, monkeypatch: pytest.Monk
         names.append(found.request(1, 0).name)
         written(found)
         found._clock.sleep(1)
-    assert sorted(path.name for path in (tmp_path / "snapshots").iterdir()) == names[-3:]
+    assert sorted(path.name for path in (tmp_path / "gelgate.snapshots").iterdir()) == names[-3:]
 
     monkeypatch.setattr(snapshots, "KEPT_BYTES", 1500)  # one has 1 kB with its index
     last = found.request(1, 0).name
     written(found)
-    assert [path.name for path in sorted((tmp_path / "snapshots").iterdir())] == [names[-1], last]
+    assert [path.name for path in sorted((tmp_path / "gelgate.snapshots").iterdir())] == [names[-1], last]
 
 
 def test_one_snapshot_is_made_at_a_time(tmp_path: Path) -> None:
@@ -141,7 +143,7 @@ def test_one_snapshot_is_made_at_a_time(tmp_path: Path) -> None:
 def test_a_disk_that_refuses_is_an_act_with_the_reason(tmp_path: Path) -> None:
     """Nothing is left of it, and inspection does not notice."""
     found = bench(tmp_path)
-    (tmp_path / "snapshots").write_text("no folder")
+    (tmp_path / "gelgate.snapshots").write_text("no folder")
     folder = found.request(1, 0)
     act = written(found)
 
