@@ -5,14 +5,15 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from scripts import load_script
 
 from calibration.experiments.harness.page import Page
 from calibration.experiments.harness.rows import frame
 from calibration.experiments.studies.paper_page import page as paper_page
-from calibration.experiments.studies.placement_page import page as placement_page
 from calibration.experiments.studies.recommend import page as recommend_page
 from calibration.experiments.studies.report import PAGES
 
+PLACEMENT = load_script("docs/placement_page.py")
 STUDIES = Path(__file__).resolve().parents[2] / "docs" / "studies"
 MOST_BYTES = 300_000
 
@@ -47,7 +48,7 @@ def test_the_page_about_placement_is_that_of_its_rows() -> None:
     """The same part in a fixture and by hand."""
     fixture, by_hand = (frame(STUDIES / "placement" / name / "rows.jsonl") for name in ("fixture", "by_hand"))
 
-    assert (STUDIES / "placement.md").read_text(encoding="utf-8") == placement_page(fixture, by_hand)
+    assert (STUDIES / "placement.md").read_text(encoding="utf-8") == PLACEMENT.page(fixture, by_hand)
 
 
 def test_every_picture_is_small_and_shown() -> None:
