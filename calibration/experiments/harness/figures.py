@@ -123,13 +123,11 @@ def svg(figure: "Figure") -> str:
 
 def _panels(count: int) -> tuple["Figure", Sequence["Axes"]]:
     """A figure of at most three panels a row. It belongs to no window and no global state."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     columns = min(3, max(1, count))
     rows = max(1, -(-count // columns))
     figure = Figure(figsize=(_PANEL[0] * columns, _PANEL[1] * rows), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for spare in axes[max(1, count) :]:
         spare.set_axis_off()

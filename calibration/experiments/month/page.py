@@ -157,11 +157,9 @@ def _list_refusals(own: list[Row]) -> str:
 
 def figure(rows: Sequence[Row]) -> "Figure":
     """Draw false alarms by day, the sum of escapes, and the questions' use, one line for each station."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     made = Figure(figsize=(6.4, 6.6), layout="constrained", facecolor="white")
-    FigureCanvasAgg(made)
     panels = made.subplots(3, 1, sharex=True)
     days = np.arange(1, rows[0]["days"] + 1)
     for arm in ARMS:

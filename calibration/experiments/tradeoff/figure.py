@@ -97,7 +97,6 @@ def figure(rows: Sequence[Row], medians: Mapping[str, float] | None = None) -> "
 
     medians: milliseconds from the settled frame to the stages `verdict` and `LATER` of a station.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     drawn = only_known(rows)
@@ -105,7 +104,6 @@ def figure(rows: Sequence[Row], medians: Mapping[str, float] | None = None) -> "
     below = BELOW_IN + (LATER_IN if medians else 0)
     height = below + PLOT_IN + LABEL_IN * len(front) + 0.48
     made = Figure(figsize=(WIDTH_IN, height), facecolor="white")
-    FigureCanvasAgg(made)
     for axes in _panels(made, drawn, height, below):
         _floor(axes, drawn)
         steps = [(verdict_ms(row), value_of(row)) for row in front]
