@@ -17,9 +17,8 @@ from calibration.fitting.bundle_measurements import golden_frames, measure_toler
 from calibration.fitting.fit import Fitted
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.colours import colour_warnings, nominal_colours, refuses
-from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.fitting.presses.preparation import smooth_presses
+from calibration.fitting.presses.preparation import smooth_presses, take_out_dots
 from calibration.fitting.self_check import apart_warnings, black_warnings
 from edge.core.contact.wear import wear
 from edge.core.errors import FitError, PoseNotFound

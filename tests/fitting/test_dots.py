@@ -16,9 +16,8 @@ from tiny_fit import config as tiny_config
 
 from calibration.fitting.carry import CarryConfig, carry_bundle
 from calibration.fitting.fit import Fitted, fit_files
-from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
-from calibration.fitting.presses.preparation import prepare_presses
+from calibration.fitting.presses.preparation import prepare_presses, take_out_dots
 from edge.clock import SystemClock
 from edge.core.arrays import U8
 from edge.core.errors import BundleCorrupt, BundleMismatch

@@ -11,8 +11,8 @@ from marker_gel import dotted, lattice
 from numpy.typing import NDArray
 
 from calibration.fitting.limits.folds import divide_presses
-from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import read_presses
+from calibration.fitting.presses.preparation import take_out_dots
 from calibration.fitting.presses.strangers import find_misexposed, find_pieces, find_repeated, small_view
 from edge.core.arrays import F64, U8
 from edge.core.imaging.region import Region
