@@ -174,7 +174,7 @@ def fit(
 
     Errors: FitError, DatasetError, RecordingError, ConfigError for a setting.
     """
-    from calibration.fitting.command import FitArguments, plan_fit, refuse_existing, write
+    from calibration.fitting.command import FitArguments, plan_fit, refuse_existing
     from calibration.fitting.fit import fit_files
 
     given = [pictures] if isinstance(pictures, str | Path | np.ndarray) else list(pictures)
@@ -194,7 +194,7 @@ def fit(
         presses, config = plan_fit(FitArguments(**arguments))
         fitted = fit_files(presses, config, created=datetime.date.today().isoformat())
         if output is not None:
-            write(fitted, target, overwrite=False)
+            fitted.write(target)
     return Bundle(fitted.bundle(), config.threads)
 
 

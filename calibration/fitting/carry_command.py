@@ -4,7 +4,7 @@ import datetime
 from dataclasses import dataclass
 from pathlib import Path
 
-from calibration.fitting.command import refuse_existing, summarise, write
+from calibration.fitting.command import refuse_existing, summarise
 from calibration.fitting.options import (
     GelId,
     LeaveOut,
@@ -64,5 +64,5 @@ def carry(given: CarryArguments) -> None:
     )
     config = CarryConfig(datetime.date.today().isoformat(), given.gel, given.revision, given.threads)
     fitted = carry_bundle(old, presses, config)
-    write(fitted, given.output, given.overwrite)
+    fitted.write(given.output, overwrite=given.overwrite)
     summarise(fitted, given.output)

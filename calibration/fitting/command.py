@@ -1,7 +1,6 @@
 """`gelgate fit`: nominal presses in, a bundle out."""
 
 import datetime
-import errno
 import os
 import tempfile
 from collections.abc import Callable, Sequence
@@ -38,7 +37,7 @@ from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.progress import Stages
 from edge import registry
 from edge.cli.arguments import add_argument, add_option, flatten, parse_values
-from edge.core.errors import BundleError, ConfigError, FitError, StoreError
+from edge.core.errors import BundleError, ConfigError, FitError
 from edge.core.imaging.known_profiles import profile
 from edge.core.printable import write_count
 from edge.core.suggest import suggestion
@@ -51,7 +50,7 @@ if TYPE_CHECKING:
     from calibration.fitting.presses.sources import Sources
     from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["choose_profile", "fit", "make", "refuse_existing", "resolve_sources", "summarise", "write"]
+__all__ = ["choose_profile", "fit", "make", "refuse_existing", "resolve_sources", "summarise"]
 
 
 @dataclass(frozen=True)
@@ -247,7 +246,7 @@ def make(work: "Callable[..., Fitted]", output: Path, overwrite: bool) -> None:
 
     with Stages() as report:
         fitted = work(created=datetime.date.today().isoformat(), report=report)
-    write(fitted, output, overwrite)
+    fitted.write(output, overwrite=overwrite)
     summarise(fitted, output)
 
 
@@ -308,19 +307,6 @@ def next_revision(output: Path) -> int:
     except BundleError:
         return 1
     return (manifest.revision or 0) + 1
-
-
-def write(fitted: "Fitted", output: Path, overwrite: bool) -> None:
-    """Write the bundle. Errors: StoreError with what to do."""
-    from edge.model.bundle_writer import write_bundle
-
-    try:
-        write_bundle(output, fitted.files, overwrite=overwrite)
-    except OSError as error:
-        room = "free some space or " if error.errno == errno.ENOSPC else ""
-        raise StoreError(
-            f"{output} cannot be written: {error.strerror or error}; {room}choose another folder"
-        ) from error
 
 
 def choose_profile(name: str, sources: list[Path]) -> "SensorProfile":

@@ -3,10 +3,9 @@
 The detector has the mathematics; the procedure (which presses, which folds, which seed) is here.
 """
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from calibration.fitting import bundle_measurements as measuring
 from calibration.fitting import self_check
 from calibration.fitting.damage.damaged_presses import DamagedPresses, render_damage
 from calibration.fitting.features import feature_warnings
-from calibration.fitting.fit_config import FitConfig
+from calibration.fitting.fit_config import FitConfig, Fitted
 from calibration.fitting.limits.appended import append
 from calibration.fitting.limits.folds import Folds, divide_presses
 from calibration.fitting.limits.gel_limits import choose_limits
@@ -49,14 +48,13 @@ from calibration.threads import one_blas_thread
 from edge.core.arrays import F64
 from edge.core.detector import Bank, Nominal, Progress
 from edge.core.registration.registrar import PartInPose
-from edge.model.bundle import Bundle, GoldenFrame, Graphs
-from edge.model.bundle_writer import bundle_files, write_bundle
+from edge.model.bundle import GoldenFrame, Graphs
+from edge.model.bundle_writer import bundle_files
 from edge.model.manifest import (
     ColourEntry,
     DotsEntry,
     Facts,
     GridEntry,
-    Manifest,
     ThresholdEntry,
     ToleranceEntry,
 )
@@ -69,22 +67,6 @@ __all__ = ["FitConfig", "Fitted", "fit_files"]
 
 # The score maps of all presses are kept until a limit is chosen.
 MEMORY_BYTES = 1 << 30
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """A fitted bundle that is not yet on disk."""
-
-    manifest: Manifest
-    files: dict[str, bytes]
-
-    def bundle(self, loaded: Container[str] = ()) -> Bundle:
-        """Load it through the same checks as from disk. loaded: see `Bundle.load`."""
-        return Bundle.in_memory(self.manifest, self.files, loaded=loaded)
-
-    def write(self, path: Path, *, overwrite: bool = False) -> Path:
-        """Write a folder or (name ending in .zip) a zip, complete or not at all. Errors: FileExistsError, OSError."""
-        return write_bundle(path, self.files, overwrite=overwrite)
 
 
 @one_blas_thread()

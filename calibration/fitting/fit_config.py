@@ -1,7 +1,9 @@
-"""The settings of a fit."""
+"""The settings of a fit, and the bundle that it gives."""
 
-from collections.abc import Mapping
+import errno
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from calibration.fitting.bundle_measurements import check_given
@@ -10,13 +12,16 @@ from calibration.fitting.pose.pose_decision import Register
 from calibration.fitting.presses.augmentation import Augment
 from calibration.fitting.trunks import Trunk
 from edge.core.detector import Detector, Mode
-from edge.core.errors import FitError
+from edge.core.errors import FitError, StoreError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.registration.registrar import PartInPose
+from edge.model.bundle import Bundle
+from edge.model.bundle_writer import write_bundle
+from edge.model.manifest import Manifest
 from edge.model.manifest_facts import gel_facts
 
-__all__ = ["SETTINGS", "FitConfig"]
+__all__ = ["SETTINGS", "FitConfig", "Fitted"]
 
 SETTINGS = "settings"
 """The entry of a manifest's `facts` with what the fit was asked for otherwise than usual, by the names of `--set`."""
@@ -96,3 +101,25 @@ class FitConfig:
         if self.mode == "paper":
             return "the published methods have no other"
         return "it was asked for" if self.limit == "plain" else ""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted bundle that is not yet on disk."""
+
+    manifest: Manifest
+    files: dict[str, bytes]
+
+    def bundle(self, loaded: Container[str] = ()) -> Bundle:
+        """Load it through the same checks as from disk. loaded: see `Bundle.load`."""
+        return Bundle.in_memory(self.manifest, self.files, loaded=loaded)
+
+    def write(self, path: Path, *, overwrite: bool = False) -> Path:
+        """Write a folder or (name ending in .zip) a zip, complete or not at all. Errors: StoreError with what to do."""
+        try:
+            return write_bundle(path, self.files, overwrite=overwrite)
+        except OSError as error:
+            room = "free some space or " if error.errno == errno.ENOSPC else ""
+            raise StoreError(
+                f"{path} cannot be written: {error.strerror or error}; {room}choose another folder"
+            ) from error

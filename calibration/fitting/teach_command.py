@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import typer
 
-from calibration.fitting.command import refuse_existing, summarise, write
+from calibration.fitting.command import refuse_existing, summarise
 from calibration.fitting.options import LeaveOut, NoContact, Overwrite, Threads
 from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.fitting.trunks import open_trunk
@@ -104,7 +104,7 @@ def teach(given: TeachArguments) -> None:
     if given.take not in ("limit", "place"):
         warn_of_lost(old)
     assert given.output is not None
-    write(taken.fitted, given.output, given.overwrite)
+    taken.fitted.write(given.output, overwrite=given.overwrite)
     summarise(taken.fitted, given.output)
 
 

@@ -16,7 +16,7 @@ from breakable_station import Bench
 from command_line import gelgate
 from small_recordings import write_recording
 
-from calibration.fitting.command import write
+from calibration.fitting.fit import Fitted
 from edge import cli, registry
 from edge.core.errors import ConfigError, StoreError
 from edge.messaging import local_broker
@@ -257,9 +257,9 @@ def test_only_a_full_disk_asks_for_space(number: int, monkeypatch: pytest.Monkey
     def refuse(*_: object, **__: object) -> None:
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr("edge.model.bundle_writer.write_bundle", refuse)
+    monkeypatch.setattr("calibration.fitting.fit_config.write_bundle", refuse)
     with pytest.raises(StoreError) as refused:
-        write(Mock(), Path("made"), False)
+        Fitted(Mock(), {}).write(Path("made"))
     assert ("free some space" in str(refused.value)) == (number == errno.ENOSPC)
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from calibration.experiments.detectability.pod import Pod, fit_pod
 from calibration.experiments.detectability.study import Place, Plan, Row
-from calibration.fitting.command import write
 from calibration.fitting.damage.damage import KINDS
 from calibration.fitting.fit import Fitted
 from edge.model.archive import MANIFEST, open_archive
@@ -97,5 +96,5 @@ def write_card(path: Path, card: DetectabilityCard) -> bool:
     manifest = old.model_copy(update={"facts": {**old.facts, CARD: card.model_dump(mode="json")}})
     files = {entry.file: archive.read(entry.file) for entry in old.files}
     was_signed = archive.has(SIGNATURE)
-    write(Fitted(manifest, {**files, MANIFEST: manifest_bytes(manifest)}), path, overwrite=True)
+    Fitted(manifest, {**files, MANIFEST: manifest_bytes(manifest)}).write(path, overwrite=True)
     return was_signed

@@ -16,7 +16,7 @@ from calibration.experiments.tradeoff.plan import Run, TradeoffArguments
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint
 from calibration.experiments.tradeoff.presses import on_common_grid
 from calibration.experiments.tradeoff.run import read_or_measure
-from calibration.fitting.command import refuse_existing, summarise, write
+from calibration.fitting.command import refuse_existing, summarise
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.folders import write_atomically
 from calibration.progress import Stages, progress
@@ -78,7 +78,7 @@ def _write_bundle(key: str, run: Run, bundle: Path, row: Row | None = None) -> N
             "own, the times are the measured point's",
             err=True,
         )
-    write(fitted, bundle, run.given.overwrite)
+    fitted.write(bundle, overwrite=run.given.overwrite)
     summarise(fitted, bundle)
     typer.echo(f"trunk, head and bank: {made}")
 

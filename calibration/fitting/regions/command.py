@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from calibration.fitting.command import refuse_existing, write
+from calibration.fitting.command import refuse_existing
 from calibration.fitting.options import LeaveOut, NoContact, Overwrite, Threads
 from edge.cli.arguments import add_argument, add_option, flatten
 from edge.core.errors import ConfigError
@@ -72,7 +72,7 @@ def regions(given: RegionsArguments) -> None:
     refuse_existing(given.output, given.overwrite)
     wanted = _change(given, old)
     fitted = draw_regions(given.bundle, wanted, _find_promise(given, old, wanted), given.threads)
-    write(fitted, given.output, given.overwrite)
+    fitted.write(given.output, overwrite=given.overwrite)
     manifest = fitted.manifest
     said = manifest.regions.describe() if manifest.regions else ""
     typer.echo(said or "no region is drawn any more")
