@@ -1,10 +1,12 @@
 """A bundle fitted again: its nominal presses, and the settings of its fit as its manifest states them."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import typer
 
 from calibration.fitting.fit_config import SETTINGS, FitConfig
 from calibration.fitting.presses.nominal_presses import (
@@ -73,9 +75,8 @@ def read_again(
     more: Sequence[Path] = (),
     no_contact: Sequence[Path] | None,
     leave_out: Sequence[str],
-    say: Callable[[str], None],
 ) -> NominalPresses:
-    """Read the nominal presses as the old fit did, less those that it left out. more: pictures beside them. say: gets
+    """Read the nominal presses as the old fit did, less those that it left out. more: pictures beside them. Prints
     the names of those. Errors: as `read_presses`, `find_sources`."""
     check_present(sources)
     manifest, asked = old.manifest, _settings(old)
@@ -89,7 +90,7 @@ def read_again(
     )
     pattern = asked.get("pattern")
     if left_out := _left_out_before(found.paths, manifest.provenance.left_out, pattern):
-        say(f"left out as before: {', '.join(left_out)}")
+        typer.echo(f"left out as before: {', '.join(left_out)}")
     return read_presses(
         [*found.paths, *more],
         old.profile,

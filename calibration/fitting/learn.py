@@ -40,7 +40,6 @@ from edge.store.press_archive import ArchivedPress, ArchiveFolder
 __all__ = [
     "Comparison",
     "ConfirmedPresses",
-    "compare",
     "join_pieces",
     "judge_presses",
     "read_confirmed",
@@ -335,16 +334,10 @@ class Comparison:
             )
 
 
-def compare(old: Bundle, new: Bundle, presses: ConfirmedPresses, database: Path, threads: int) -> Comparison:
-    """Judge them by both, as a replay does. Errors: ArchiveError, BundleError."""
-    before, after = (judge_presses(one, presses, database, threads) for one in (old, new))
-    return Comparison(presses, before, after)
-
-
 def judge_presses(
     bundle: Bundle, presses: ConfirmedPresses, database: Path, threads: int
 ) -> dict[str, Press]:
-    """Judge them again, by their ids. Errors: ArchiveError, BundleError."""
+    """Judge them again, by their ids, as a replay does. Errors: ArchiveError, BundleError."""
     archive, judged = ArchiveFolder(database.with_suffix(".archive")), dict[str, Press]()
     inspector = Inspector(Scorer(bundle, threads), SystemClock())
     for one in (*presses.good, *presses.damaged):

@@ -6,14 +6,31 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from calibration.fitting.command import make, refuse_existing
+from calibration.fitting.fit import Fitted, fit_files
+from calibration.fitting.fit_again import configure_again, read_again
+from calibration.fitting.fit_config import FitConfig
+from calibration.fitting.learn import (
+    MOST_NAMED,
+    Comparison,
+    ConfirmedPress,
+    ConfirmedPresses,
+    join_pieces,
+    judge_presses,
+    read_confirmed,
+    score_refused,
+    write_picture,
+    write_pictures,
+)
 from calibration.fitting.options import GelId, LeaveOut, NoContact, Output, Overwrite, Threads
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
 from calibration.fitting.presses.sources import check_present
+from calibration.fitting.regions.drawing import draw_again
+from calibration.fitting.teach import BEARABLE, Lesson, lower_place, name_alike
 from calibration.progress import Report
 from edge.cli.arguments import add_argument, add_option, flatten
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
@@ -22,11 +39,9 @@ from edge.core.part_position import PartPosition
 from edge.core.printable import write_count
 from edge.model.bundle import Bundle
 from edge.model.manifest_facts import share_found
-
-if TYPE_CHECKING:
-    from calibration.fitting.fit import Fitted
-    from calibration.fitting.fit_config import FitConfig
-    from calibration.fitting.learn import Comparison, ConfirmedPress, ConfirmedPresses
+from edge.model.scorer import Scorer
+from edge.store.person_verdicts import ask_again
+from edge.store.press_store import Store
 
 __all__ = ["learn", "warn_of_lost"]
 
@@ -62,11 +77,6 @@ def learn(given: LearnArguments) -> None:
     is not written where that costs too much, or where it fails more good presses. Try it as a shadow
     (docs/operations.md).
     """
-    from calibration.fitting.fit import Fitted, fit_files
-    from calibration.fitting.fit_again import configure_again, read_again
-    from calibration.fitting.learn import join_pieces, write_pictures
-    from calibration.fitting.regions.drawing import draw_again
-
     refuse_existing(given.output, given.overwrite)
     check_present(given.sources)
     old = Bundle.load(given.bundle)
@@ -82,7 +92,6 @@ def learn(given: LearnArguments) -> None:
             more=sorted(pictures.iterdir()),
             no_contact=given.no_contact,
             leave_out=given.leave_out or (),
-            say=typer.echo,
         )
     presses = join_pieces(presses, confirmed.good)
     _warn_without_gel(old, presses)
@@ -108,27 +117,24 @@ def learn(given: LearnArguments) -> None:
 
 
 def _compare(
-    old: Bundle, fitted: "Fitted", confirmed: "ConfirmedPresses", database: Path, threads: int
-) -> "Comparison":
+    old: Bundle, fitted: Fitted, confirmed: ConfirmedPresses, database: Path, threads: int
+) -> Comparison:
     """Judge the presses that people spoke of by both bundles, and say what they make of them."""
-    from calibration.fitting.learn import compare
-
-    comparison = compare(old, fitted.bundle(), confirmed, database, threads)
+    before, after = (judge_presses(one, confirmed, database, threads) for one in (old, fitted.bundle()))
+    comparison = Comparison(confirmed, before, after)
     typer.echo(f"{comparison.describe()}; {comparison.changes()}")
     return comparison
 
 
 def _teach_lost(
-    fitted: "Fitted",
-    comparison: "Comparison",
+    fitted: Fitted,
+    comparison: Comparison,
     presses: NominalPresses,
-    config: "FitConfig",
+    config: FitConfig,
     created: str,
-) -> "Fitted | None":
+) -> Fitted | None:
     """Teach the new bundle the damage that it loses, at its places; None where it loses none, and where that cannot be
     or costs too much, which is said."""
-    from calibration.fitting.teach import BEARABLE, Lesson, lower_place
-
     if not comparison.lost:
         return None
     new = fitted.bundle()
@@ -147,10 +153,8 @@ def _teach_lost(
     return remedy.fitted if is_bearable else None
 
 
-def _read_pictures(presses: "Sequence[ConfirmedPress]", bundle: Bundle) -> NominalPresses:
+def _read_pictures(presses: Sequence[ConfirmedPress], bundle: Bundle) -> NominalPresses:
     """Read archived presses as pictures of the region, with their ids for names."""
-    from calibration.fitting.learn import write_picture
-
     with tempfile.TemporaryDirectory() as folder:
         files = [write_picture(one.press, one.frame, Path(folder)) for one in presses]
         return _with_stems(read_presses(files, bundle.profile, bundle.region))
@@ -160,23 +164,17 @@ def _with_stems(presses: NominalPresses) -> NominalPresses:
     return replace(presses, names=tuple(Path(name).stem for name in presses.names))
 
 
-def _name_alike(old: Bundle, comparison: "Comparison", good: NominalPresses, threads: int) -> list[str]:
+def _name_alike(old: Bundle, comparison: Comparison, good: NominalPresses, threads: int) -> list[str]:
     """Say of each lost damage which of the learnt presses resembles it most: one of the two words may be wrong."""
-    from calibration.fitting.learn import MOST_NAMED
-    from calibration.fitting.teach import name_alike
-
     lost = comparison.lost[:MOST_NAMED]
     if not lost or not len(good):
         return []
     return name_alike(old, _read_pictures(lost, old), _with_stems(good), threads)
 
 
-def _ask_again(error: FitError, comparison: "Comparison", database: Path) -> FitError:
+def _ask_again(error: FitError, comparison: Comparison, database: Path) -> FitError:
     """Have the station ask once more about the presses that stand against the new bundle; return the error that says
     so. A copy of a station's database is asked too, where it can be written."""
-    from edge.store.person_verdicts import ask_again
-    from edge.store.press_store import Store
-
     blocking = [one.press.press_id for one in (*comparison.lost, *comparison.new_alarms)]
     try:
         with Store(database) as store:
@@ -186,11 +184,8 @@ def _ask_again(error: FitError, comparison: "Comparison", database: Path) -> Fit
     return FitError(f"{error}; {said}") if said else error
 
 
-def _read_words(database: Path, part: PartPosition, old: Bundle) -> "ConfirmedPresses":
+def _read_words(database: Path, part: PartPosition, old: Bundle) -> ConfirmedPresses:
     """Read what people said of a part, and say what of it is left out. Errors: FitError where nothing can be learnt."""
-    from calibration.fitting.learn import read_confirmed, score_refused
-    from edge.model.scorer import Scorer
-
     confirmed = read_confirmed(database, part, old.digest, partial(score_refused, Scorer(old)))
     for sentence in confirmed.left_out:
         typer.echo(f"warning: left out: {sentence}", err=True)

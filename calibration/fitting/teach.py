@@ -209,7 +209,7 @@ def lower_place(lesson: Lesson) -> Remedy | str:
     (sound, maps), pieces = held_out, np.array(pieces_of(held_out[0].specimens))
     if faint := [name for k, name in enumerate(lesson.damaged.names) if lesson.maps[k].max() < _LEAST_SHOWN]:
         return f"place: {', '.join(faint)} shows nowhere above {_LEAST_SHOWN:.0%} of the limit"
-    near, scores = _spread(lesson, maps), np.zeros(len(maps))
+    near, scores = _near(old, maps), np.zeros(len(maps))
     for piece in set(pieces):
         weights = _weigh(lesson, near[pieces != piece].max(axis=0))
         scores[pieces == piece] = (maps[pieces == piece] * weights).max(axis=(1, 2))
@@ -248,7 +248,7 @@ def why_not(lesson: Lesson) -> list[str]:
     held_out = lesson.held_out
     if held_out is None:
         return []
-    near = _spread(lesson, held_out[1])
+    near = _near(lesson.old, held_out[1])
     places = [(k, _find_place(lesson, k, near.max(axis=0))) for k in lesson.missed]
     names, sound = lesson.damaged.names, held_out[0].names
     return [_name_nearest(lesson.old, names[k], lesson.maps[k], at, sound, near) for k, at in places]
@@ -277,17 +277,13 @@ def _name_nearest(
     )
 
 
-def _spread(lesson: Lesson, maps: F32) -> F32:
-    return _near(lesson.old, maps)
-
-
 def _near(old: Bundle, maps: F32) -> F32:
     """Give each place the highest value of what is watched with it, for each map."""
     return find_near(maps, old.profile.pixels_per_mm, _PLACE_MM + _FADE_MM / 2)
 
 
 def _find_place(lesson: Lesson, number: int, usual: F32) -> tuple[int, int]:
-    """Find where a damaged press most exceeds what is usual near there, as `_spread` gives it: (y, x)."""
+    """Find where a damaged press most exceeds what is usual near there, as `_near` gives it: (y, x)."""
     damage = lesson.maps[number]
     excess = np.where(damage >= min(_LEAST_SHOWN, float(damage.max())), damage / np.maximum(usual, 1e-6), 0)
     y, x = np.unravel_index(int(excess.argmax()), excess.shape)

@@ -5,29 +5,45 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import typer
 
 from calibration.fitting.command import refuse_existing, summarise
+from calibration.fitting.fit import Fitted, fit_files
+from calibration.fitting.fit_again import configure_again, read_again
+from calibration.fitting.learn import (
+    Comparison,
+    ConfirmedPresses,
+    judge_presses,
+    read_confirmed,
+    write_picture,
+)
+from calibration.fitting.learn_command import warn_of_lost
 from calibration.fitting.options import LeaveOut, NoContact, Overwrite, Threads
 from calibration.fitting.presses.nominal_presses import read_presses
+from calibration.fitting.regions.drawing import draw_again
+from calibration.fitting.teach import (
+    BEARABLE,
+    Lesson,
+    Remedy,
+    change_method,
+    lower_limit,
+    lower_place,
+    why_not,
+)
 from calibration.fitting.trunks import open_trunk
 from edge import registry
 from edge.cli.arguments import add_argument, add_option, flatten
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
 from edge.core.errors import ConfigError, FitError
 from edge.core.part_position import PartPosition
+from edge.core.press import Press
 from edge.core.printable import write_count
 from edge.core.suggest import suggestion
 from edge.model.bundle import Bundle
-
-if TYPE_CHECKING:
-    from calibration.fitting.fit import Fitted
-    from calibration.fitting.fit_config import FitConfig
-    from calibration.fitting.learn import ConfirmedPresses
-    from calibration.fitting.teach import Lesson, Remedy
-    from edge.core.press import Press
+from edge.store.history import find_press
+from edge.store.press_archive import ArchiveFolder
 
 __all__ = ["teach"]
 
@@ -68,8 +84,6 @@ def teach(given: TeachArguments) -> None:
     Shows what would find each damaged press: a lower limit, a lower limit at its place, or another method; and what
     that costs, on nominal presses by banks without them and on the archived presses of the station. --take writes one.
     """
-    from calibration.fitting.learn_command import warn_of_lost
-
     if (given.take is None) != (given.output is None):
         raise ConfigError("--take says what is written, and --output where; give both, or none to look first")
     if given.output is not None:
@@ -118,22 +132,17 @@ def _find_database(given: TeachArguments) -> Path | None:
     return None
 
 
-def _read_operation(old: Bundle, database: Path | None) -> "ConfirmedPresses":
+def _read_operation(old: Bundle, database: Path | None) -> ConfirmedPresses:
     """Read what people said, and the newest archived presses of the part."""
-    from calibration.fitting.learn import ConfirmedPresses, read_confirmed
-
     if database is None:
         return ConfirmedPresses()
     return read_confirmed(database, PartPosition(old.manifest.part, old.manifest.position), old.digest)
 
 
 def _prepare(
-    given: TeachArguments, old: Bundle, folder: Path, database: Path | None, confirmed: "ConfirmedPresses"
-) -> "Lesson":
+    given: TeachArguments, old: Bundle, folder: Path, database: Path | None, confirmed: ConfirmedPresses
+) -> Lesson:
     """Read the nominal and the damaged presses. Errors: FitError for a press that people call good."""
-    from calibration.fitting.fit_again import configure_again, read_again
-    from calibration.fitting.teach import Lesson
-
     good = {one.press.press_id: one.describe() for one in confirmed.good}
     if called := [good[one] for one in given.damaged if one in good]:
         raise FitError(
@@ -145,7 +154,6 @@ def _prepare(
         given.sources,
         no_contact=given.no_contact,
         leave_out=given.leave_out or (),
-        say=typer.echo,
     )
     damaged = read_presses(files, old.profile, old.region, no_contact=given.no_contact)
     archived = {path.name: path.stem for path in files if path.parent == folder}
@@ -158,10 +166,6 @@ def _prepare(
 def _write_picture(press: str, folder: Path, database: Path | None) -> Path:
     """Give a picture's path, that of an archived press after it is written there. Errors: ArchiveError,
     StoreError."""
-    from calibration.fitting.learn import write_picture
-    from edge.store.history import find_press
-    from edge.store.press_archive import ArchiveFolder
-
     if database is None or Path(press).is_file():
         return Path(press)
     known, archive = find_press(database, press), ArchiveFolder(database.with_suffix(".archive"))
@@ -170,10 +174,8 @@ def _write_picture(press: str, folder: Path, database: Path | None) -> Path:
     return write_picture(then, frame, folder)
 
 
-def _try_remedies(given: TeachArguments, lesson: "Lesson") -> dict[str, "Remedy"]:
+def _try_remedies(given: TeachArguments, lesson: Lesson) -> dict[str, Remedy]:
     """Make what can be taken, and say what cannot."""
-    from calibration.fitting.teach import change_method, lower_limit, lower_place
-
     methods = given.methods if given.methods is not None else list(_METHODS)
     wanted = {"limit": lambda: lower_limit(lesson), "place": lambda: lower_place(lesson)} | {
         name: lambda name=name: change_method(lesson, name, lambda: _fit_method(lesson, name))
@@ -187,27 +189,17 @@ def _try_remedies(given: TeachArguments, lesson: "Lesson") -> dict[str, "Remedy"
     return {one.name: one for one in made if not isinstance(one, str)}
 
 
-def _fit_method(lesson: "Lesson", name: str) -> "Fitted":
+def _fit_method(lesson: Lesson, name: str) -> Fitted:
     """Fit another method, with the drawn regions of the bundle."""
-    from calibration.fitting.fit import fit_files
-    from calibration.fitting.regions.drawing import draw_again
-
-    config = _with_method(lesson.config, name)
+    detector, config = registry.detector(name), lesson.config
+    trunk = open_trunk(config.trunk.id, detector.taps(detector.parameters(config.mode)))
+    config = replace(config, detector=detector, trunk=trunk, overrides={})
     fitted = fit_files(lesson.nominal, config, created=lesson.created)
     return draw_again(lesson.old, fitted, lesson.nominal, config, lesson.created)
 
 
-def _with_method(config: "FitConfig", name: str) -> "FitConfig":
-    detector = registry.detector(name)
-    trunk = open_trunk(config.trunk.id, detector.taps(detector.parameters(config.mode)))
-    return replace(config, detector=detector, trunk=trunk, overrides={})
-
-
-def _describe(lesson: "Lesson", remedies: Mapping[str, "Remedy"]) -> None:
+def _describe(lesson: Lesson, remedies: Mapping[str, Remedy]) -> None:
     """Print what each finds and costs; where none is bearable, the sound press that is the reason."""
-    from calibration.fitting.fit import Fitted
-    from calibration.fitting.teach import BEARABLE, Remedy, why_not
-
     now = Remedy("now", "the bundle as it is", Fitted(lesson.old.manifest, {}), lesson.scores)
     for remedy in (now, *remedies.values()):
         typer.echo(remedy.describe())
@@ -221,25 +213,21 @@ def _describe(lesson: "Lesson", remedies: Mapping[str, "Remedy"]) -> None:
 
 
 def _judge(
-    bundle: Bundle, confirmed: "ConfirmedPresses", database: Path | None, threads: int
-) -> "dict[str, Press]":
-    from calibration.fitting.learn import judge_presses
-
+    bundle: Bundle, confirmed: ConfirmedPresses, database: Path | None, threads: int
+) -> dict[str, Press]:
     return {} if database is None else judge_presses(bundle, confirmed, database, threads)
 
 
 def _compare(
-    remedy: "Remedy",
-    before: "Mapping[str, Press]",
-    confirmed: "ConfirmedPresses",
+    remedy: Remedy,
+    before: Mapping[str, Press],
+    confirmed: ConfirmedPresses,
     database: Path | None,
     threads: int,
     *,
     is_taken: bool = False,
 ) -> None:
     """Print what the station's presses say of it. Errors: FitError for one that is taken and is worse than before."""
-    from calibration.fitting.learn import Comparison
-
     if database is None:
         return
     after = _judge(remedy.fitted.bundle(), confirmed, database, threads)

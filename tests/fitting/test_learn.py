@@ -159,7 +159,7 @@ def test_a_damage_that_the_new_limit_passes_is_taught_at_its_place(
         loose = fitted.manifest.threshold.model_copy(update={"value": 2 * highest})
         return dataclasses.replace(fitted, manifest=fitted.manifest.model_copy(update={"threshold": loose}))
 
-    for module in ("fit", "teach"):
+    for module in ("learn_command", "teach"):
         monkeypatch.setattr(f"calibration.fitting.{module}.fit_files", fit_loosely)
     station.say({0: "good", 2: "damaged", 4: "damaged"})
 

@@ -120,9 +120,7 @@ def _find_promise(
             f"a stricter region fails more sound presses, and bundle {given.bundle} keeps no maps of its nominal "
             "presses to count them by; give the presses of its fit as SOURCE"
         )
-    nominal = read_again(
-        old, given.sources, no_contact=given.no_contact, leave_out=given.leave_out or (), say=typer.echo
-    )
+    nominal = read_again(old, given.sources, no_contact=given.no_contact, leave_out=given.leave_out or ())
     typer.echo(write_count(len(nominal), "nominal press"))
     config = configure_again(old, None, given.threads, None)
     return find_promise(old, wanted, nominal, config, datetime.date.today().isoformat())
