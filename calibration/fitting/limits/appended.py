@@ -19,26 +19,15 @@ from edge.model.pipe import RELIEF_MAP
 
 __all__ = ["TAUGHT_WEIGHTS", "append", "extend_head", "find_obstacle", "head_inputs"]
 
-# Earlier fits subtracted the surroundings, and had limits by place; banks of their presses are judged too (`gelgate lab
-# detectability`).
-_SURROUNDINGS = """
+_LIMIT = """
     limit_rows_averaged = MatMul (limit_window_down_rows, limit_raw_score_map)
     limit_averaged = MatMul (limit_rows_averaged, limit_window_down_columns)
     limit_rows_raised = MatMul (limit_window_up_rows, limit_averaged)
     limit_surroundings = MatMul (limit_rows_raised, limit_window_up_columns)
-"""
-_SUBTRACTED = "limit_contrast = Sub (limit_raw_score_map, limit_surroundings)"
-_DIVIDED = """
     limit_around = Relu (limit_surroundings)
     limit_above_usual = Add (limit_around, limit_usual)
     limit_contrast = Div (limit_raw_score_map, limit_above_usual)
-"""
-_PLACES = """
-    limit_of_rows = MatMul (limit_rows, limit_grid)
-    limit_of_places = MatMul (limit_of_rows, limit_columns)
-"""
-_LIMIT = """
-    limit_relative = Div ({contrast}, {limit})
+    limit_relative = Div (limit_contrast, limit_grid)
     limit_relative_raw = Div (limit_raw_score_map, limit_guard)
     score_map = Max (limit_relative, limit_relative_raw)
     score = ReduceMax <keepdims = 0> (score_map, limit_axes)
@@ -124,14 +113,7 @@ def append(head: bytes, bank: Bank, arrays: Mapping[str, NDArray[Any]], tap: str
     FitError for a head that cannot be extended, or a bank with an array of such a name.
     """
     if "limit_grid" in arrays:
-        contrast = "limit_contrast" if "limit_window_up_rows" in arrays else "limit_raw_score_map"
-        limit = "limit_of_places" if "limit_rows" in arrays else "limit_grid"
-        text = _LIMIT.format(contrast=contrast, limit=limit)
-        if limit == "limit_of_places":
-            text = _PLACES + text
-        if contrast == "limit_contrast":
-            text = _SURROUNDINGS + (_DIVIDED if "limit_usual" in arrays else _SUBTRACTED) + text
-        head, bank = _append(head, bank, arrays, text, _LIMIT_CONSTANTS, "limit_raw_")
+        head, bank = _append(head, bank, arrays, _LIMIT, _LIMIT_CONSTANTS, "limit_raw_")
     if "relief_free" in arrays:
         text = _RELIEF.format(tap=tap)
         head, bank = _append(head, bank, arrays, text, _RELIEF_CONSTANTS, "relief_raw_", RELIEF_MAP)
@@ -224,7 +206,7 @@ def _load(head: bytes) -> Any:
 def find_obstacle(head: bytes) -> str:
     """Return why no limit can be appended to this head; empty where one can."""
     try:
-        append(head, Bank({}), {name: np.ones((1, 1)) for name in ("limit_grid", "limit_guard")})
+        append(head, Bank({}), {"limit_grid": np.ones((1, 1))})
     except FitError as error:
         return str(error)
     versions = [entry.version for entry in _load(head).opset_import if entry.domain in ("", "ai.onnx")]

@@ -13,8 +13,7 @@ makes it uneven there, in proportion: so it is divided, not subtracted.
 The surroundings hide damage that is as wide as the window. The guard keeps it: a raw value of GUARD times the plain
 limit fails, whatever surrounds it.
 
-All of it is float64 NumPy; `appended` writes the same into a head. `relate` still reads limits of earlier fits: without
-limit_usual the surroundings are subtracted, and limits by place interpolate limit_grid by limit_rows and limit_columns.
+All of it is float64 NumPy; `appended` writes the same into a head.
 """
 
 import math
@@ -69,30 +68,21 @@ def make_window(nominal: Maps, pixels_per_mm: float) -> Limit:
 
 
 def make_limit(window: Limit, limit: float, plain: float) -> Limit:
-    """Make the limit of L and the plain limit. Errors: ValueError for limits that are not positive."""
-    if not (limit > 0 and plain > 0):
-        raise ValueError(f"limits are positive, found {limit} and {plain}")
+    """Make the limit of L and the plain limit, which are positive."""
     return {"limit_grid": np.full((1, 1), limit), "limit_guard": np.full((1, 1), GUARD * plain), **window}
 
 
 def relate(limit: Limit, maps: Maps) -> F64:
     """Return raw maps (n, h, w) in units of the limit, float64."""
-    grid = limit["limit_grid"]
-    if "limit_rows" in limit:  # cells of places, interpolated to pixels
-        grid = limit["limit_rows"] @ grid @ limit["limit_columns"]
-    relative = find_contrast(limit, maps) / grid
+    relative = find_contrast(limit, maps) / limit["limit_grid"]
     return np.asarray(np.maximum(relative, maps / limit["limit_guard"]), np.float64)
 
 
 def find_contrast(limit: Limit, maps: Maps) -> F64:
-    """Divide raw maps by their surroundings, where the limit has a window."""
+    """Divide raw maps by their surroundings."""
     raw = np.asarray(maps, np.float64)
-    if "limit_window_up_rows" not in limit:
-        return raw
     averaged = limit["limit_window_down_rows"] @ raw @ limit["limit_window_down_columns"]
     around = limit["limit_window_up_rows"] @ averaged @ limit["limit_window_up_columns"]
-    if "limit_usual" not in limit:
-        return np.asarray(raw - around)
     return np.asarray(raw / (np.maximum(around, 0) + limit["limit_usual"]))
 
 
