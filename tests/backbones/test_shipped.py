@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from graph_session import open_graph
 
-from calibration.experiments.backbones.evaluation import used_settings
 from calibration.experiments.backbones.sets import SETS
 from calibration.experiments.harness.study import methods_to_compare
 from calibration.fitting.trunks import open_trunk
@@ -72,7 +71,7 @@ def test_the_evaluation_is_of_these_weights_and_settings() -> None:
     for method, settings in EVALUATION["settings"].items():
         switches = type(registry.detector(method).parameters("paper")).model_fields
         unnamed = {name: field.default for name, field in switches.items()}
-        today = json.loads(json.dumps({**unnamed, **used_settings(method)}))
+        today = json.loads(json.dumps({**unnamed, **vars(registry.detector(method).parameters())}))
         assert settings == {name: today[name] for name in settings}
 
 

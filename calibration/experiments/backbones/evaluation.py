@@ -26,7 +26,6 @@ __all__ = [
     "evaluate",
     "evaluation_tables",
     "random_trunk",
-    "used_settings",
 ]
 
 RANDOM = "random"
@@ -43,11 +42,6 @@ Columns = dict[str, Column]
 def random_trunk() -> bytes:
     """Make a ResNet-18 with random weights, seed 0: what training is compared with."""
     return build_trunk(random_state("resnet18"), "resnet18")
-
-
-def used_settings(method: str) -> dict[str, Any]:
-    """Return every parameter of the method."""
-    return dict(vars(registry.detector(method).parameters()))
 
 
 def evaluate(
@@ -79,7 +73,7 @@ def evaluate(
     return {
         "format": FORMAT,
         "replicates": replicates,
-        "settings": {method: used_settings(method) for method in detectors},
+        "settings": {method: dict(vars(registry.detector(method).parameters())) for method in detectors},
         "sets": {name: _write_set(of, [next(results) for _ in of.trials]) for name, of in sets.items()},
     }
 

@@ -14,6 +14,7 @@ from calibration.experiments.harness.pictures import LR_VIEW
 from calibration.experiments.harness.presses import StudyPresses, presses_of
 from calibration.experiments.tradeoff.point import VIEWS, View
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.fitting.presses.sources import choose_position
 from edge.core.arrays import F32, U8, Mask
 from edge.core.errors import DatasetError
 
@@ -74,7 +75,7 @@ def choose_presses(root: Path, part: str | None, position: str | None, seed: int
     """
     low = LR_VIEW.size
     dataset = open_dataset(root, resolution_of(low))
-    part, position = _the_one(dataset.positions, root, part, position)
+    part, position = choose_position([dataset], part, position)
     every = presses_of(dataset, part, position)
     if every.pictures.view != LR_VIEW:
         found = "x".join(map(str, every.pictures.view.size))
@@ -92,19 +93,6 @@ def choose_presses(root: Path, part: str | None, position: str | None, seed: int
     )
     scored = (*apart, *damaged)
     return Chosen(every, fitted, scored, _high(root, (*fitted, *scored), part, position))
-
-
-def _the_one(
-    positions: Sequence[tuple[str, str]], root: Path, part: str | None, position: str | None
-) -> tuple[str, str]:
-    found = [pair for pair in positions if part in (None, pair[0]) and position in (None, pair[1])]
-    if len(found) != 1:
-        known = ", ".join("/".join(pair) for pair in positions)
-        raise DatasetError(
-            f"dataset '{root}' has {'several positions that fit' if found else 'no position that fits'} "
-            f"{part or '*'}/{position or '*'}; choose with --part and --position among {known}"
-        )
-    return found[0]
 
 
 def _high(

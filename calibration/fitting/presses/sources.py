@@ -23,6 +23,7 @@ __all__ = [
     "Sources",
     "check_name",
     "check_present",
+    "choose_position",
     "find_sources",
     "is_dataset",
     "list_pictures",
@@ -99,7 +100,7 @@ def find_sources(
         if holdout:
             raise ConfigError("--holdout divides a dataset by its specimens, and no source is a dataset")
         return Sources(part, position or DEFAULT_POSITION, others)
-    part, position = _the_one(datasets, part, position)
+    part, position = choose_position(datasets, part, position)
     kept: list[LabelledPress] = []
     held_out: set[str] = set()
     for dataset in datasets:
@@ -117,8 +118,9 @@ def find_sources(
     )
 
 
-def _the_one(datasets: Sequence[Dataset], part: str | None, position: str | None) -> tuple[str, str]:
-    """The part and position for which all datasets have nominal presses. Errors: DatasetError with the known names."""
+def choose_position(datasets: Sequence[Dataset], part: str | None, position: str | None) -> tuple[str, str]:
+    """Return the part and position for which all datasets have nominal presses. Errors: DatasetError with the known
+    names."""
     for dataset in datasets:
         known = sorted({(press.part, press.position) for press in dataset.good})
         chosen = [pair for pair in known if part in (None, pair[0]) and position in (None, pair[1])]

@@ -102,7 +102,7 @@ def test_a_choice_writes_its_bundle_with_both_cards(finished: Path, dataset: Pat
         (("--bundle", "b"), "--bundle needs a point"),
         (("--point", "padim.none"), "no operating point is named 'padim.none'"),
         (("--method", "padin"), "no detector is named 'padin'"),
-        (("--part", "PZ8"), "no position that fits PZ8/*"),
+        (("--part", "PZ8"), "no nominal press of PZ8/*"),
     ],
     ids=["time", "size", "bundle", "point", "method", "part"],
 )
