@@ -11,6 +11,7 @@ from calibration.evaluate.scoring import Evaluation, ScoredPress
 from calibration.metrics.summary import Measure
 from edge.core.arrays import U8
 from edge.model.comparison import outline_regions
+from edge.pictures.image_file import encode
 from edge.pictures.press_picture import PressCaption, draw_press
 
 __all__ = ["as_json", "as_table", "draw_sheet"]
@@ -124,7 +125,7 @@ def draw_sheet(evaluation: Evaluation) -> bytes:
         ("best: good presses with the lowest scores", good[::-1][:_COLUMNS]),
     )
     sheet = np.concatenate([_draw_row(title, presses, evaluation) for title, presses in rows if presses])
-    return bytes(cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1])
+    return encode(sheet)
 
 
 def _draw_row(title: str, presses: Sequence[ScoredPress], evaluation: Evaluation) -> U8:

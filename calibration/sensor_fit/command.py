@@ -125,16 +125,14 @@ def _simulator(
     mm_per_px: float | None,
     say: "Progress",
 ) -> None:
-    import cv2
-
     from calibration.sensor_fit.calibrate import calibrate_sensor
     from calibration.sensor_fit.result import calibration_sheet
     from calibration.simulator.field_of_view import LR
+    from edge.pictures.image_file import encode
 
     made = calibrate_sensor(presses, output.stem, ball_radius_mm, mm_per_px or LR.mm_per_px[0], say)
     _say(made)
-    _, data = cv2.imencode(".png", cv2.cvtColor(calibration_sheet(made.judged), cv2.COLOR_RGB2BGR))
-    write_atomically(sheet, data.tobytes())
+    write_atomically(sheet, encode(calibration_sheet(made.judged)))
     write_atomically(output, made.sensor.to_toml().encode())
     typer.echo(f"written: {output}, {sheet}")
 

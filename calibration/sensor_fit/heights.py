@@ -280,17 +280,5 @@ def _scale(made: HeightCalibration, factor: float) -> HeightCalibration:
 
 
 def _in_mm(ball: HeldBall, factor: float) -> HeldBall:
-    lengths = {
-        name: factor * getattr(ball, name)
-        for name in (
-            "x_mm",
-            "y_mm",
-            "radius_mm",
-            "depth_mm",
-            "height_mm",
-            "inside_mm",
-            "outside_mm",
-            "noise_mm",
-        )
-    }
+    lengths = {name: factor * value for name, value in vars(ball).items() if name.endswith("_mm")}
     return replace(ball, **lengths)

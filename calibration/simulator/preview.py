@@ -15,6 +15,7 @@ from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.scene import Scene
 from calibration.simulator.streams import Streams
 from edge.core.arrays import U8
+from edge.pictures.image_file import encode
 
 __all__ = ["preview", "title_picture", "write_preview"]
 
@@ -30,8 +31,7 @@ def write_preview(scene: Scene, folder: Path, seed: int = 0) -> Path:
     """Write `<scene>_preview.png` into the folder and return its path."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{scene.name}_preview.png"
-    _, data = cv2.imencode(".png", cv2.cvtColor(preview(scene, seed), cv2.COLOR_RGB2BGR))
-    path.write_bytes(data.tobytes())  # unlike cv2.imwrite, says why where it cannot
+    path.write_bytes(encode(preview(scene, seed)))  # unlike cv2.imwrite, says why where it cannot
     return path
 
 
