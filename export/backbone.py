@@ -156,7 +156,7 @@ def _from_graph(
     source: Path, options: BackboneOptions, steps: InputSteps, facts: dict[str, str]
 ) -> BackboneExport:
     taps = name_taps(options.taps)
-    made = graph_trunk(
+    trunk, facts, stages = graph_trunk(
         read_graph(source),
         taps,
         steps,
@@ -166,7 +166,7 @@ def _from_graph(
         facts=facts,
         where=str(source),
     )
-    return BackboneExport(made.trunk, made.taps, made.facts, _compare(made.stages, source, made.facts))
+    return BackboneExport(trunk, tuple(taps), facts, _compare(stages, source, facts))
 
 
 def _from_weights(

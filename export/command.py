@@ -116,11 +116,6 @@ def _print(precisions: "Precisions", choice: "Measured") -> None:
 export = typer.Typer(help="Import trained backbones, or write graphs.", no_args_is_help=True)
 
 
-@export.callback()
-def _group() -> None:
-    """Import trained backbones, or write graphs."""
-
-
 export.command()(backbone)
 export.command()(precision)
 export.command("detect")(detect)

@@ -5,7 +5,7 @@ of tokens (n, l, c) loses its prefix tokens and becomes the patch grid (n, c, ro
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,16 +23,6 @@ __all__ = ["graph_trunk", "name_taps"]
 
 MOST_PREFIXES = 8
 """Class, distillation and register tokens together: DINOv2 with registers has five."""
-
-
-@dataclass(frozen=True)
-class GraphTrunk:
-    """A trunk made from a foreign graph, its metadata, and the stages of both."""
-
-    trunk: bytes
-    taps: tuple[str, ...]
-    facts: dict[str, str]
-    stages: tuple[Stage, ...]
 
 
 def name_taps(taps: Sequence[str]) -> dict[str, str]:
@@ -53,12 +43,12 @@ def graph_trunk(
     steps: InputSteps,
     frames: NDArray[np.uint8],
     *,
-    high: float = 1.0,
-    prefixes: int | None = None,
-    facts: Mapping[str, str] | None = None,
-    where: str = "the graph",
-) -> GraphTrunk:
-    """Make the trunk, and compute its stages and the foreign graph's on `frames`, uint8 (n, h, w, 3).
+    high: float,
+    prefixes: int | None,
+    facts: Mapping[str, str],
+    where: str,
+) -> tuple[bytes, dict[str, str], list[Stage]]:
+    """Make the trunk and its metadata, and compute its stages and the foreign graph's on `frames`, uint8 (n, h, w, 3).
 
     high: what the brightest level is in the graph's input after the steps. prefixes: tokens to drop from sequences;
     None: as many as leave a square grid, at most eight. Errors: ConfigError for a graph without this picture input or
@@ -72,14 +62,14 @@ def graph_trunk(
     frame = (frames.shape[1], frames.shape[2])
     if picture.size is not None and picture.size != (steps.size or frame):
         steps = replace(steps, size=picture.size)
-    facts = {**(facts or {}), "preprocessing": steps.words}
+    facts = {**facts, "preprocessing": steps.words}
     pixels = picture.prepare(frames, steps, high)
     expected = run_each(data, list(taps.values()), picture.name, pixels, picture.batch, where)
     grids = {tap: _grid(array, tap, prefixes) for tap, array in zip(taps, expected, strict=True)}
     body = read_frames(model, picture, steps, frame, high)
     merged = append(body, _end(taps, expected, grids), {v: f"value_{tap}" for tap, v in taps.items()})
     prune(merged)
-    set_model_props(merged, dict(facts))
+    set_model_props(merged, facts)
     trunk = bytes(merged.SerializeToString())
     front = f"front/{PIXELS}"
     arrays = run_each(trunk, [front, *taps], "frames", frames, picture.batch, where)
@@ -87,7 +77,7 @@ def graph_trunk(
         Stage(tap, _as_maps(array, *grids[tap]), found)
         for tap, array, found in zip(taps, expected, arrays[1:], strict=True)
     ]
-    return GraphTrunk(trunk, tuple(taps), facts, (Stage("input", pixels, arrays[0], "input"), *stages))
+    return trunk, facts, [Stage("input", pixels, arrays[0], "input"), *stages]
 
 
 def _check_values(model: Any, taps: Mapping[str, str], where: str) -> None:

@@ -230,11 +230,6 @@ _VERBS = {
 """What a study's help says, and the options that it has no use for."""
 
 
-@study.callback()
-def _group() -> None:
-    """Study what accuracy costs, cell by cell."""
-
-
 def _add(name: str, text: str, without: tuple[str, ...]) -> None:
     """Add the command of a study; it says where the rows are, and how many of its cells have no score and why."""
 
