@@ -29,7 +29,7 @@ from edge import registry
 from edge.cli import EXIT_MEANINGS, exit_code, place
 from edge.config import Config
 from edge.core import errors
-from edge.core.contact.table import table_markdown
+from edge.core.contact.table import Signal, table_markdown
 from edge.core.handshake import Code
 from edge.gateway.command_table import every_command
 from edge.messaging.alarm_payload import ALARMS
@@ -447,20 +447,22 @@ def bundle_page() -> str:
     return _print_tables("bundle.md", {"edge/model/manifest.py": ("", heading, *rows, "")})
 
 
-def _explained(model: type) -> Iterator[tuple[str, str]]:
+def _explained(kind: type) -> Iterator[tuple[str, str]]:
     """Yield the fields of one class, each with the text under it, where `docs/page.md#section` becomes a link."""
-    body = ast.parse(inspect.getsource(model)).body[0].body  # type: ignore[attr-defined]
+    body = ast.parse(inspect.getsource(kind)).body[0].body  # type: ignore[attr-defined]
     for field, text in pairwise(body):
-        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
+        if isinstance(field, ast.AnnAssign | ast.Assign) and isinstance(text, ast.Expr):
+            name = field.target if isinstance(field, ast.AnnAssign) else field.targets[0]
             linked = re.sub(r"docs/([\w-]+\.md)([#\w-]*)", r"[\1](\1\2)", ast.literal_eval(text.value))
-            yield ast.unparse(field.target), linked
+            yield ast.unparse(name), linked
 
 
 def contact_page() -> str:
-    """Print the page again with the table of states of the program."""
-    return _print_tables(
-        "contact.md", {"edge/core/contact/table.py": ("", *table_markdown().splitlines(), "")}
-    )
+    """Print the page again with the states and signals of the program."""
+    signals = (_row(name.lower(), text) for name, text in _explained(Signal))
+    heading = "| signal | meaning |\n| --- | --- |"
+    lines = ("", *table_markdown().splitlines(), "", heading, *signals, "")
+    return _print_tables("contact.md", {"edge/core/contact/table.py": lines})
 
 
 def simulator_page() -> str:

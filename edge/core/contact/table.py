@@ -23,18 +23,33 @@ class State(StrEnum):
 class Signal(StrEnum):
     """The signal of one frame, or of the outside world."""
 
-    BLIND = "blind"  # the frame is not usable: black, or too soon after a gap
-    MOVING = "moving"  # while learning: the view differs from the one held as still
-    CLEAR = "clear"  # touched area at or below the off level
-    FAINT = "faint"  # between the off and the on level
-    TOUCH = "touch"  # at or above the on level
-    STILL = "still"  # touched, wanted, and still for the settle time
-    LATE = "late"  # wanted, and not still within the settle timeout
-    ELAPSED = "elapsed"  # the state's own condition has held for its time
-    INVERSE = "inverse"  # the view has lost structure that the reference shows, or a first press never ends
-    FREE = "free"  # at rest, and without structure that the doubted reference lacks
-    GAP = "gap"  # the stream was interrupted
-    RELEARN = "relearn"  # a new reference is requested
+    BLIND = "blind"
+    """The frame is not usable: within 0.3 s after an interruption."""
+    MOVING = "moving"
+    """While learning: more than a contact's worth of the view has changed since it came to rest."""
+    CLEAR = "clear"
+    """The touched area is at most 0.2 % of the view, or 5 % of this press's largest area; or the imprint has had less
+    than 40 % of its largest strength for 0.2 s; relief decides for a press that never had an area."""
+    FAINT = "faint"
+    """Between clear and touch (hysteresis)."""
+    TOUCH = "touch"
+    """The touched area, or the relief, is at least 1 % of the view; over a residue also an imprint of twice its
+    strength."""
+    STILL = "still"
+    """A verdict is wanted, and the press rests."""
+    LATE = "late"
+    """A verdict is wanted, and the press has not rested for 3 s since its imprint last grew."""
+    ELAPSED = "elapsed"
+    """The state's own condition has held: warm-up 0.5 s, baseline 10 frames, approach 0.06 s, release 0.08 s, recovery
+    3 s."""
+    INVERSE = "inverse"
+    """The view has lost structure that the reference shows; or the first press ever has lasted 30 s and added none."""
+    FREE = "free"
+    """While in doubt: the view rests and adds no structure to the reference, so it is the free gel."""
+    GAP = "gap"
+    """The stream was interrupted (unplugged, stalled, opened again), or for 0.27 s its frames showed nothing."""
+    RELEARN = "relearn"
+    """A new reference is requested, as after a change of gel."""
 
 
 def _row(state: State, **moves: State) -> dict[tuple[State, Signal], State]:
