@@ -31,6 +31,7 @@ from edge.config import Config
 from edge.core import errors
 from edge.core.contact.table import Signal, table_markdown
 from edge.core.handshake import Code
+from edge.core.heights.calibration import HeightCalibration
 from edge.gateway.command_table import every_command
 from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.topic_reference import reference
@@ -407,6 +408,13 @@ def tree() -> Iterator[tuple[type[errors.GelgateError], str, str]]:
 # The registers of a PLC
 
 
+def heights_page() -> str:
+    """Print the page again with what a calibration file holds."""
+    rows = (_row(f"`{name}`", text) for name, text in _explained(HeightCalibration))
+    heading = "| key of the file | meaning |\n| --- | --- |"
+    return _print_tables("heights.md", {"edge/core/heights/calibration.py": ("", heading, *rows, "")})
+
+
 def operations_page() -> str:
     """Print the page again with every alarm, as the page at the station says it."""
     rows = (_row(f"`{name}`", kind.title, _link(kind.what_to_do)) for name, kind in ALARMS.items())
@@ -600,6 +608,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "errors.md": errors_page,
     "operations.md": operations_page,
     "parameters.md": parameters_page,
+    "heights.md": heights_page,
     "mqtt.md": lambda: reference(every_command()),
     "plc.md": plc_page,
     "processors.md": processors_page,

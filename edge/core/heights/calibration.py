@@ -57,11 +57,12 @@ class HeightCalibration:
 
     name: str
     response: F64
-    """float64 (3, 6, 6): grey levels of red, green and blue, per term of the surface, times the powers of the place."""
+    """float64 (3, 6, 6): grey levels of red, green and blue, per nx, ny, nx^2, ny^2, nx ny and mm raised, each times
+    (1, u, v, u^2, v^2, uv) of the place."""
     rest: F64
     """float64 (3, 3), covariance of what the fit leaves of the colours, levels squared."""
     free_levels: F64
-    """float64 (6, 8, 3), coarse colours of the free gel."""
+    """float64 (6, 8, 3), coarse colours of the free gel, by which another gel is refused."""
     mm_per_px: float
     """Of a picture of 320x240, both ways."""
     scale_u95: float
@@ -73,7 +74,7 @@ class HeightCalibration:
     noise_mm: float
     """Standard deviation of heights of the free gel between 0.25 and 0.8 mm."""
     serial: str | None = None
-    """The sensor; None where it was not known."""
+    """The sensor, another one is refused; None where it was not known."""
     made_on: date | None = None
     """Day of the calibration, UTC; None in files that do not say it."""
 
