@@ -56,7 +56,7 @@ def cli_page() -> str:
 
 def _shared(every: Iterable["Parameter"]) -> list["Parameter"]:
     """Return the options that mean the same in at least three verbs, one of a name."""
-    counts = Counter(one for one in every if not one.is_argument and one.default != "required")
+    counts = Counter(one for one in every if not one.is_argument)
     found = {one.names[0]: one for one, count in reversed(counts.most_common()) if count >= 3}
     return [found[name] for name in sorted(found)]
 
