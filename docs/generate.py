@@ -24,6 +24,7 @@ import typer
 from calibration.fitting.command import fit
 from calibration.simulator.defects import DEFECTS
 from calibration.simulator.effects import EFFECTS
+from calibration.simulator.scene import Scene
 from calibration.training.train_config import TrainConfig
 from edge import registry
 from edge.cli import EXIT_MEANINGS, exit_code, place
@@ -474,10 +475,12 @@ def contact_page() -> str:
 
 
 def simulator_page() -> str:
-    """Print the page again with what each defect and effect of the simulator is, from its function."""
+    """Print the page again with the keys of a scene, and what each defect and effect of the simulator is."""
+    keys = (_row(f"`{name}`", text) for name, text in _explained(Scene))
     return _print_tables(
         "simulator.md",
         {
+            "calibration/simulator/scene.py": ("", "| key | meaning |\n| --- | --- |", *keys, ""),
             "calibration/simulator/defects.py": _functions("defect, at severity 1", DEFECTS),
             "calibration/simulator/effects.py": _functions("effect", EFFECTS),
         },

@@ -46,17 +46,14 @@ class _Table(BaseModel):
 
 
 class Camera(_Table):
-    """The frames. `modes`: lr (320x240), hr (1280x720), native (3280x2464 as the camera sends it).
-
-    `fps`: delivered frames a second; the real sensor manages 18.75 of its 25. `reduction`: native frames are rendered
-    at 1/reduction of their size and scaled up, because a gateway decodes them at that reduction. `sensor`: a name, or
-    the content of a sensor's file, so that a scene is equal to another one only where its sensor is.
-    """
+    """The frames."""
 
     modes: Annotated[tuple[Literal["lr", "hr", "native"], ...], Field(min_length=1)] = ("lr",)
     fps: Annotated[float, Field(gt=0, le=200)] = 18.75
+    """Delivered; the real sensor manages these of its 25."""
     reduction: Literal[2, 4, 8] = 4
     sensor: str | SensorFile = "unit_b"
+    """A name, or the content of a file, so that a scene is equal to another one only where its sensor is."""
 
     @field_validator("sensor")
     @classmethod
@@ -116,18 +113,34 @@ class Scene(_Table):
     """The file. A scene has either `runs` (recordings) or `nominal` (a dataset)."""
 
     version: Literal[1]
+    """1, on the first line."""
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=60)]
+    """The scene's name."""
     part: str
+    """PZ1 to PZ5."""
     positions: tuple[str, ...] = ()
+    """Which of the part's positions; all by default."""
     effects: tuple[str, ...]
+    """Those that are computed."""
     camera: Camera = Camera()
+    """`modes`: `lr` (320x240), `hr` (1280x720), `native` (3280x2464, for recordings); `fps`; `reduction`: native frames
+    are rendered at 1/2, 1/4 (default) or 1/8 and scaled up, for a gateway decodes them at that reduction; `sensor`:
+    `unit_a`, `unit_b`, `unit_c`, or the path of a sensor's file, relative to the scene's."""
     motion: Motion = Motion()
+    """`idle_s`, then for each press `approach_s`, `press_s`, `settle_s`, `hold_s`, `lift_s`, at the end
+    `tail_s`."""
     depth_mm: Annotated[float, Field(gt=0, le=2)] | None = None
+    """How deep a press goes; by default the part's own."""
     mask_depth_mm: Annotated[float, Field(gt=0, le=1)] = 0.02
+    """An imprint that differs by more is masked; 0.02 by default."""
     jitter: Jitter | None = None
+    """`shift_mm`, `turn_deg`, `tilt_deg`, `depth_fraction`: standard deviations in place of the part's."""
     nominal: NominalPieces | None = None
+    """Datasets: `specimens`, and `presses` of each at each position."""
     defects: Defects = Defects()
+    """`kinds`, `severity = [least, most]`, `images` (datasets: damaged pictures over all positions)."""
     runs: tuple[SceneRun, ...] = ()
+    """Recordings: `name`, `presses`, `faulty`, `gel_presses` (how worn the gel is at the start)."""
 
     @field_validator("part")
     @classmethod
