@@ -51,7 +51,9 @@ def test_what_an_example_imports_is_there(page: str, module: str, name: str) -> 
 BROKEN_TABLE = re.compile(r"(?<=\n\n)\|.*\|\n(?!\|[-:| ]+\|\n).*")
 
 
-@pytest.mark.parametrize("page", sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md")]), ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page", sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md")]), ids=lambda page: page.name
+)
 def test_no_row_has_come_off_its_table(page: Path) -> None:
     """What begins with a row and no rule is shown as text with bars."""
     assert BROKEN_TABLE.findall(page.read_text(encoding="utf-8")) == []
