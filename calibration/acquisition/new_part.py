@@ -26,6 +26,7 @@ from edge.cli.arguments import parse_values, plugin_options
 from edge.cli.options import CONFIG, ConfigOption
 from edge.config import Config, load_config, root_options
 from edge.core.errors import ConfigError, DeviceNotFound, FitError, GelgateError
+from edge.model.manifest_files import LONGEST_NAME
 
 __all__ = ["new_part"]
 
@@ -302,10 +303,13 @@ def _free_port() -> int:
 
 def _name_bundle(part: str) -> str:
     """Name the folder of a part's bundle. Errors: ConfigError."""
-    name = "-".join(word for word in part.split("/", 1) if word)
-    if not name.strip(". ") or Path(name).name != name or not name.isprintable():
+    words = part.split("/", 1)
+    name = "-".join(word for word in words if word)
+    is_sound = words[0].strip() and max(map(len, words)) <= LONGEST_NAME and name.isprintable()
+    if not is_sound or not name.strip(". ") or Path(name).name != name:
         raise ConfigError(
-            f"'{part}' is no name of a part, expected a word such as bolt or bolt/pos1; give another"
+            f"{part[: 2 * LONGEST_NAME]!r} is no name of a part, expected a word such as bolt or bolt/pos1; "
+            "give another"
         )
     return name
 

@@ -72,6 +72,9 @@ VIRTUAL = ("--device", "usb_mock", "--option", "recording=RECORDING")
     [
         (("a/b/c", "--yes", *VIRTUAL), "", "", "'a/b/c' is no name of a part, expected a word"),
         (("..", "--yes", *VIRTUAL), "", "", "'..' is no name of a part, expected a word"),
+        (("/pos1", "--yes", *VIRTUAL), "", "", "'/pos1' is no name of a part, expected a word"),
+        (("a\nb", "--yes", *VIRTUAL), "", "", "'a\\nb' is no name of a part, expected a word"),
+        (("x" * 129, "--yes", *VIRTUAL), "", "", "xx' is no name of a part, expected a word"),
         (("bolt", *VIRTUAL), None, "", "needs an answer and there is no terminal; add --yes for 'none'"),
         (("bolt", "--option", "pace=0"), "", "", "--option belongs to one plugin; name it with --device"),
         (("bolt", "--device", "lamp"), "", "", "lamp"),
