@@ -105,7 +105,8 @@ class PersonVerdicts(PressStage):
         if is_new_word or self._escapes:
             self._say_escapes()
         today = local_day(self._clock.time_ns())
-        if self._per_day and (self._read() or is_new_word or today != self._day):
+        # Also where nobody is asked: people may speak at a pedal, or over MQTT.
+        if self._read() or is_new_word or today != self._day:
             self._day = today
             self._ask(today, mounted)
         self._acts = acts

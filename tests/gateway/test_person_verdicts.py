@@ -314,15 +314,16 @@ def test_where_nobody_is_asked_nothing_is_remembered(tmp_path: Path, recording: 
         assert not stage._of_other_colours
 
 
+@pytest.mark.parametrize("tables", ["", "[confirm]\nquestions_per_day = 0"])
 def test_more_false_alarms_than_promised_are_an_alarm_until_another_bundle_inspects(
-    tmp_path: Path, recording: Path, bundle: Path
+    tmp_path: Path, recording: Path, bundle: Path, tables: str
 ) -> None:
     """A fifth is promised, and three of four fails are good. On a new gel the alarm of the proof says it."""
     strict = variant(bundle, tmp_path / "strict", threshold=FIVE | {"value": 1e-9})
     other = variant(bundle, tmp_path / "other", threshold=FIVE)
 
     def open_with(inspecting: Path) -> SteppedStation:
-        return SteppedStation(station_config(tmp_path, recording, f'bundle = "{inspecting}"'))
+        return SteppedStation(station_config(tmp_path, recording, f'bundle = "{inspecting}"', tables=tables))
 
     def look(station: SteppedStation) -> str | None:
         settle(station)
