@@ -49,6 +49,8 @@ class PressLift:
             raise ValueError(
                 f"noise has a standard deviation from 0 to below 64 grey levels, found {self.noise_levels}"
             )
+        if self.noise_seed < 0:
+            raise ValueError(f"the seed of the noise is 0 or more, found {self.noise_seed}")
 
 
 @dataclass(frozen=True)

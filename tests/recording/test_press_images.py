@@ -125,3 +125,8 @@ def test_real_presses_play(real_tactile: Path, tmp_path: Path) -> None:
     assert count == 63
     with pytest.raises(RecordingEnded):
         device.read(clock.monotonic_ns() + 1_000_000_000)
+
+
+def test_a_seed_below_0_is_refused_before_a_frame_is_written() -> None:
+    with pytest.raises(ValueError, match="the seed of the noise is 0 or more, found -1"):
+        PressLift(noise_levels=1.0, noise_seed=-1)
