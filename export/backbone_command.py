@@ -1,21 +1,21 @@
 """`gelgate export backbone`: weights or a network from other tools become a trunk."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
+from calibration.fitting.command import refuse_existing
+from calibration.fitting.presses.nominal_presses import read_presses
 from edge.cli.arguments import add_argument, add_option, flatten
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from edge.core.imaging.region import Region
-    from edge.core.imaging.sensor_profile import SensorProfile
-    from export.backbone import BackboneOptions
-    from plugins.backbones.input_steps import InputSteps
+from edge.core.errors import ConfigError
+from edge.core.imaging.known_profiles import profile as known_profile
+from edge.core.imaging.region import Region
+from edge.model.manifest_facts import is_non_commercial
+from export.backbone import BackboneOptions, export_backbone
+from export.known_weights import encoder as known_encoder
+from plugins.backbones.input_steps import IMAGENET, InputSteps
 
 __all__ = ["backbone", "three_numbers"]
 
@@ -62,11 +62,6 @@ def backbone(given: BackboneArguments) -> None:
     """Convert weights or a network to a trunk.
 
     It is compared with the original at every tap before it is written."""
-    from calibration.fitting.command import refuse_existing
-    from edge.core.imaging.known_profiles import profile as known_profile
-    from edge.core.imaging.region import Region
-    from export.backbone import BackboneOptions
-
     refuse_existing(given.output, given.overwrite, is_bundle=False)
     sensor = known_profile(given.profile)
     region = Region.parse(given.region, sensor.size)
@@ -76,7 +71,9 @@ def backbone(given: BackboneArguments) -> None:
         taps=tuple(tap.strip() for tap in given.taps.split(",") if tap.strip()),
         encoder=given.encoder or None,
         steps=_steps(given.encoder, given.mean, given.std, given.size),
-        background=None if given.background is None else _free_gel(given.background, sensor, region),
+        background=None
+        if given.background is None
+        else read_presses([given.background], sensor, region).frames[0],
         frame=(region.height, region.width),
         weights="float16" if given.half else "float32",
         version=given.version,
@@ -89,10 +86,7 @@ def backbone(given: BackboneArguments) -> None:
     _make(given.checkpoint, given.output, options, given.report)
 
 
-def _make(checkpoint: Path, output: Path, options: "BackboneOptions", report: Path | None) -> None:
-    from edge.model.manifest_facts import is_non_commercial
-    from export.backbone import export_backbone
-
+def _make(checkpoint: Path, output: Path, options: BackboneOptions, report: Path | None) -> None:
     made = export_backbone(checkpoint, output, options, report)
     worst = max(made.parity.results, key=lambda result: result.difference)
     typer.echo(f"{output}: {', '.join(made.taps)}, {len(made.trunk) / 1e6:.1f} MB")
@@ -105,13 +99,8 @@ def _make(checkpoint: Path, output: Path, options: "BackboneOptions", report: Pa
     typer.echo(f"trunk sha256 {made.sha256}")
 
 
-def _steps(encoder: str, mean: str, std: str, size: str) -> "InputSteps | None":
+def _steps(encoder: str, mean: str, std: str, size: str) -> InputSteps | None:
     """The preprocessing that the options change; None where they leave it alone."""
-    from dataclasses import replace
-
-    from export.known_weights import encoder as known_encoder
-    from plugins.backbones.input_steps import IMAGENET
-
     if not (mean or std or size):
         return None
     usual = known_encoder(encoder).steps if encoder else IMAGENET
@@ -123,18 +112,7 @@ def _steps(encoder: str, mean: str, std: str, size: str) -> "InputSteps | None":
     return replace(steps, size=_two_sizes(size)) if size else steps
 
 
-def _free_gel(picture: Path, sensor: "SensorProfile", region: "Region") -> "NDArray[np.uint8]":
-    """The region of a picture of the free gel, uint8 (h, w, 3). Errors: as `read_presses`."""
-    import numpy as np
-
-    from calibration.fitting.presses.nominal_presses import read_presses
-
-    return np.asarray(read_presses([picture], sensor, region).frames[0], np.uint8)
-
-
 def _two_sizes(text: str) -> tuple[int, int]:
-    from edge.core.errors import ConfigError
-
     try:
         height, width = (int(number) for number in text.split("x"))
     except ValueError as error:
@@ -146,10 +124,6 @@ def _two_sizes(text: str) -> tuple[int, int]:
 
 def three_numbers(option: str, text: str) -> tuple[float, float, float]:
     """Three numbers, red, green, blue. Errors: ConfigError."""
-    import math
-
-    from edge.core.errors import ConfigError
-
     try:
         red, green, blue = (float(number) for number in text.split(","))
     except ValueError as error:

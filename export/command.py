@@ -1,20 +1,39 @@
 """`gelgate export`: weights from other tools in, graphs for other tools out."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_args
+from typing import Annotated, get_args
 
+import numpy as np
 import typer
+from numpy.typing import NDArray
 
+from calibration.dataset import open_dataset, resolution_of
+from calibration.fitting.command import refuse_existing, resolve_sources
+from calibration.fitting.presses.nominal_presses import read_presses
+from calibration.fitting.presses.sources import is_dataset
+from calibration.progress import Stages
+from edge import registry
 from edge.cli.options import BundlePath, TrunkStore
+from edge.core.errors import BundleError, ConfigError
+from edge.core.imaging.tiles import tiling
+from edge.extras import needs
+from edge.model.bundle import Bundle
+from edge.model.bundle_writer import write_bundle, write_file
 from export.backbone_command import backbone
+from export.bundle_stages import compare_bundle
 from export.importers.command import detect, import_
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from edge.model.bundle import Bundle
-    from export.precision import Masked, Measured, Precisions
+from export.merge import merge_bundle
+from export.openvino_model import write_openvino
+from export.precision import (
+    Masked,
+    Measured,
+    Precision,
+    Precisions,
+    choose_precision,
+    in_precision,
+    measure_precisions,
+)
+from plugins.backbones.tiled import tile_trunk
 
 __all__ = ["export", "precision"]
 
@@ -41,13 +60,6 @@ def precision(
     """Store a bundle's network in float16 or int8.
 
     Difference, time and size are measured on nominal presses, and AU-PRO where a source is a dataset with masks."""
-    from calibration.fitting.command import refuse_existing
-    from calibration.progress import Stages
-    from edge.core.errors import ConfigError
-    from edge.model.bundle import Bundle
-    from edge.model.bundle_writer import write_bundle
-    from export.precision import Precision, choose_precision, in_precision, measure_precisions
-
     if wanted != "auto" and wanted not in get_args(Precision):
         raise ConfigError(f"--precision is auto, {', '.join(get_args(Precision))}; found '{wanted}'")
     if not 0 < limit < 1:
@@ -65,13 +77,8 @@ def precision(
     )
 
 
-def _frames(opened: "Bundle", sources: list[Path]) -> "tuple[NDArray[np.uint8], Masked]":
+def _frames(opened: Bundle, sources: list[Path]) -> tuple[NDArray[np.uint8], Masked]:
     """Nominal frames of all sources, and damaged ones with masks of those that are datasets."""
-    from calibration.dataset import open_dataset, resolution_of
-    from calibration.fitting.command import resolve_sources
-    from calibration.fitting.presses.nominal_presses import read_presses
-    from calibration.fitting.presses.sources import is_dataset
-
     manifest, sensor, region = opened.manifest, opened.profile, opened.region
     given = any(map(is_dataset, sources))
     nominal = resolve_sources(sources, manifest.part, manifest.position if given else None, sensor)
@@ -94,7 +101,7 @@ def _frames(opened: "Bundle", sources: list[Path]) -> "tuple[NDArray[np.uint8], 
     return presses.frames, (pictures, [region.crop(press.mask()) for press in damaged])
 
 
-def _print(precisions: "Precisions", choice: "Measured") -> None:
+def _print(precisions: Precisions, choice: Measured) -> None:
     """A row per precision, and why one was chosen."""
     typer.echo("precision  maps differ  score differs  AU-PRO change     ms       MB  layers in float")
     for row in precisions.results:
@@ -138,10 +145,6 @@ def parity(
 
     STAGES holds `frames` (n, h, w, 3) and any of `input`, the taps, values of the head, `map` and `score`, as the
     research model computed them. The first stage that differs is named. Exit code 5 when one does."""
-    from edge.core.errors import BundleError
-    from edge.model.bundle import Bundle
-    from export.bundle_stages import compare_bundle
-
     comparison = compare_bundle(Bundle.load(bundle, trunks), stages)
     for result in comparison.results:
         typer.echo(f"{'equal  ' if result.is_equal else 'DIFFERS'} {result.sentence()}")
@@ -166,11 +169,6 @@ def openvino(
     """Write a bundle's detector as an OpenVINO model.
 
     Its scores are compared with the bundle's first."""
-    from calibration.fitting.command import refuse_existing
-    from edge.extras import needs
-    from edge.model.bundle import Bundle
-    from export.openvino_model import write_openvino
-
     needs("openvino", "export openvino")
     for path in (output, output.with_suffix(".bin")):
         refuse_existing(path, overwrite, is_bundle=False)
@@ -194,13 +192,6 @@ def tiles(
     """Make a trunk for large frames, from tiles.
 
     Each tile is processed as a small frame."""
-    from calibration.fitting.command import refuse_existing
-    from edge import registry
-    from edge.core.errors import ConfigError
-    from edge.core.imaging.tiles import tiling
-    from edge.model.bundle_writer import write_file
-    from plugins.backbones.tiled import tile_trunk
-
     refuse_existing(output, overwrite, is_bundle=False)
     try:
         width, height = (int(number) for number in frame.split("x"))
@@ -230,10 +221,6 @@ def merge(
     """Write one graph from frames to score map.
 
     It contains the bank. It is checked first: its scores must be those of the bundle."""
-    from calibration.fitting.command import refuse_existing
-    from edge.model.bundle import Bundle
-    from export.merge import merge_bundle
-
     refuse_existing(output, overwrite, is_bundle=as_bundle)
     difference = merge_bundle(Bundle.load(bundle, trunks), output, as_bundle=as_bundle)
     typer.echo(

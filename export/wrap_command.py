@@ -3,10 +3,12 @@
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import numpy as np
 import typer
+from numpy.typing import NDArray
 
+from calibration.fitting.command import choose_profile, make, refuse_existing, resolve_sources
 from calibration.fitting.options import (
     Alpha,
     NoContact,
@@ -20,12 +22,15 @@ from calibration.fitting.options import (
     Threads,
     Threshold,
 )
+from calibration.fitting.presses.nominal_presses import read_presses
 from edge.cli.arguments import add_argument, add_option, flatten
+from edge.core.imaging.region import Region
 from edge.core.printable import write_count
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+from export.backbone_command import three_numbers
+from export.finish import WrapConfig, wrap_files
+from export.graph_file import read_graph
+from export.known_weights import stated_licence
+from export.single_graph import GraphInput, adapt
 
 __all__ = ["wrap"]
 
@@ -71,13 +76,6 @@ def wrap(given: WrapArguments) -> None:
     """Make a bundle of another tool's detector graph.
 
     The graph is adapted and compared with itself. The threshold comes from nominal presses."""
-    from calibration.fitting.command import choose_profile, make, refuse_existing, resolve_sources
-    from calibration.fitting.presses.nominal_presses import read_presses
-    from edge.core.imaging.region import Region
-    from export.finish import WrapConfig, wrap_files
-    from export.graph_file import read_graph
-    from export.known_weights import stated_licence
-
     graph = given.graph
     refuse_existing(given.output, given.overwrite)
     content = read_graph(graph)
@@ -103,11 +101,8 @@ def wrap(given: WrapArguments) -> None:
     make(partial(wrap_files, ready, presses, config), given.output, given.overwrite)
 
 
-def _adapt(given: WrapArguments, content: bytes, frames: "NDArray[np.uint8]") -> tuple[bytes, dict[str, str]]:
+def _adapt(given: WrapArguments, content: bytes, frames: NDArray[np.uint8]) -> tuple[bytes, dict[str, str]]:
     """The graph as the gateway runs it, and what was found of it. Errors: as `adapt`; BundleCorrupt."""
-    from export.backbone_command import three_numbers
-    from export.single_graph import GraphInput, adapt
-
     mean, std = (
         three_numbers(option, text) if text else None
         for option, text in (("--mean", given.mean), ("--std", given.std))

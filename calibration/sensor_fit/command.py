@@ -5,21 +5,24 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import typer
 
 from calibration.fitting.options import NoContact, Pattern, Resize
+from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
 from calibration.folders import write_atomically
 from calibration.progress import Stages
+from calibration.sensor_fit.calibrate import Calibrated, calibrate_sensor
+from calibration.sensor_fit.heights import CalibratedHeights, calibrate_heights
+from calibration.sensor_fit.result import calibration_sheet
+from calibration.simulator.field_of_view import LR
+from edge.core.detector import Progress
 from edge.core.errors import ConfigError
 from edge.core.imaging.known_profiles import profile
-
-if TYPE_CHECKING:
-    from calibration.fitting.presses.nominal_presses import NominalPresses
-    from calibration.sensor_fit.calibrate import Calibrated
-    from calibration.sensor_fit.heights import CalibratedHeights
-    from edge.core.detector import Progress
+from edge.core.imaging.region import Region
+from edge.heights.files import write_calibration
+from edge.pictures.image_file import encode
 
 __all__ = ["calibrate"]
 
@@ -63,9 +66,6 @@ def calibrate(
     rms, and a picture next to the file shows real, simulated and difference. `gelgate lab simulate --sensor FILE`
     reads the file.
     """
-    from calibration.fitting.presses.nominal_presses import read_presses
-    from edge.core.imaging.region import Region
-
     if is_heights == is_simulator:
         raise ConfigError("nothing to calibrate is named, or both; give --heights or --simulator")
     sheet = output.with_suffix(".png") if is_simulator else None
@@ -83,16 +83,13 @@ def calibrate(
 
 
 def _heights(
-    presses: "NominalPresses",
+    presses: NominalPresses,
     output: Path,
     ball_radius_mm: float,
     mm_per_px: float | None,
     serial: str | None,
-    say: "Progress",
+    say: Progress,
 ) -> None:
-    from calibration.sensor_fit.heights import calibrate_heights
-    from edge.heights.files import write_calibration
-
     made = calibrate_heights(presses, output.stem, ball_radius_mm, mm_per_px, serial, say)
     _say_heights(made, ball_radius_mm)
     dated = replace(made.calibration, made_on=datetime.now(UTC).date())
@@ -100,7 +97,7 @@ def _heights(
     typer.echo(f"written: {output}")
 
 
-def _say_heights(made: "CalibratedHeights", ball_radius_mm: float) -> None:
+def _say_heights(made: CalibratedHeights, ball_radius_mm: float) -> None:
     for name, reason in made.left_out.items():
         typer.echo(f"left out: {name}: {reason}")
     typer.echo("ball, held out: at x, y mm; radius found; depth, found; free gel within, mm")
@@ -118,18 +115,13 @@ def _say_heights(made: "CalibratedHeights", ball_radius_mm: float) -> None:
 
 
 def _simulator(
-    presses: "NominalPresses",
+    presses: NominalPresses,
     output: Path,
     sheet: Path,
     ball_radius_mm: float,
     mm_per_px: float | None,
-    say: "Progress",
+    say: Progress,
 ) -> None:
-    from calibration.sensor_fit.calibrate import calibrate_sensor
-    from calibration.sensor_fit.result import calibration_sheet
-    from calibration.simulator.field_of_view import LR
-    from edge.pictures.image_file import encode
-
     made = calibrate_sensor(presses, output.stem, ball_radius_mm, mm_per_px or LR.mm_per_px[0], say)
     _say(made)
     write_atomically(sheet, encode(calibration_sheet(made.judged)))
@@ -150,7 +142,7 @@ def _check_output(output: Path, sheet: Path | None, overwrite: bool) -> None:
             raise ConfigError(f"{path} exists; name another file, or replace it with --overwrite")
 
 
-def _say(made: "Calibrated") -> None:
+def _say(made: Calibrated) -> None:
     fitted = made.sensor.fitted
     assert fitted is not None
     for name, reason in made.left_out.items():

@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
+from calibration.fitting.command import choose_profile, refuse_existing, resolve_sources
 from calibration.fitting.options import (
     Alpha,
     NoContact,
@@ -18,12 +19,15 @@ from calibration.fitting.options import (
     Settings,
     Threads,
 )
+from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
+from calibration.progress import Stages
 from edge.cli.arguments import add_argument, add_option, flatten, parse_values
-
-if TYPE_CHECKING:
-    from calibration.fitting.presses.nominal_presses import NominalPresses
-    from edge.core.imaging.region import Region
-    from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.errors import ConfigError
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_profile import SensorProfile
+from export.importers.api import ImportOptions, import_detector
+from export.importers.contract import importer_of
+from plugins.reading.isolated import read_foreign
 
 __all__ = ["detect", "import_"]
 
@@ -76,9 +80,6 @@ def detect(file: File) -> None:
     """Say what a file of a research program is.
 
     It is read in a process of its own, without network, and nothing that is in it is run."""
-    from export.importers.contract import importer_of
-    from plugins.reading.isolated import read_foreign
-
     with read_foreign(file) as foreign:
         importer, what = importer_of(foreign)
         typer.echo(f"{file}: {what.what}; importer {importer.name}")
@@ -94,11 +95,6 @@ def import_(given: ImportArguments) -> None:
     """Make a bundle of a detector that a research program trained.
 
     The threshold comes from nominal presses that the model has not seen, or from the model."""
-    from calibration.fitting.command import choose_profile, refuse_existing, resolve_sources
-    from calibration.fitting.presses.nominal_presses import read_presses
-    from calibration.progress import Stages
-    from export.importers.api import ImportOptions, import_detector
-
     refuse_existing(given.output, given.overwrite)
     sensor = choose_profile(given.profile, given.sources)
     sources = resolve_sources(given.sources, given.part, given.position, sensor)
@@ -119,7 +115,7 @@ def import_(given: ImportArguments) -> None:
         threads=given.threads,
     )
 
-    def read(profile: "SensorProfile", inspected: "Region") -> "NominalPresses":
+    def read(profile: SensorProfile, inspected: Region) -> NominalPresses:
         return read_presses(
             sources.paths,
             profile,
@@ -142,8 +138,6 @@ def import_(given: ImportArguments) -> None:
 
 def _threshold(text: str) -> float | Literal["presses", "model"]:
     """Read the option of the threshold. Errors: ConfigError."""
-    from edge.core.errors import ConfigError
-
     if text == "presses":
         return "presses"
     if text == "model":
