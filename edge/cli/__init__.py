@@ -7,6 +7,7 @@ Exit codes: EXIT_MEANINGS. After 2 or 3 a restart does not help: a person has to
 
 import errno
 import gc
+import io
 import os
 import platform
 import stat
@@ -310,6 +311,9 @@ def exit_code(error: type[errors.GelgateError]) -> int:
 
 def main() -> NoReturn:
     """Run the command line; every refusal is one sentence on stderr and a documented exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # what a terminal cannot spell ends nothing
+            stream.reconfigure(errors="backslashreplace")
     for word in filter(_is_endless, sys.argv[1:]):
         print(f"gelgate: {word} is neither a file nor a folder; give one of them", file=sys.stderr)
         sys.exit(2)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from breakable_station import Bench
-from station import press_recording, small_bundle, station_config
+from station import press_recording, small_bundle, station_config, variant
 
 from edge.store.database import open_read_only
 
@@ -140,6 +140,17 @@ def pressing(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def pressed(pressing: Path, tmp_path: Path) -> Path:
     """The configuration of a station that plays it."""
     return station_config(tmp_path, pressing / "presses", pressing / "bundle")
+
+
+def test_a_part_that_the_terminal_cannot_spell_is_inspected(pressing: Path, tmp_path: Path) -> None:
+    """As with a Japanese part and a terminal of western Europe: what it cannot show is an escape."""
+    part = variant(pressing / "bundle", tmp_path / "bundle", part="\u90e8\u54c1")
+    command = [GELGATE, "run", "--config", station_config(tmp_path, pressing / "presses", part)]
+    western = {**os.environ, "PYTHONIOENCODING": "latin-1"}
+    done = subprocess.run(command, capture_output=True, env=western, cwd=tmp_path)
+
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count(b"\\u90e8\\u54c1/") == len(payloads(tmp_path, "result")) == 3
 
 
 @pytest.mark.parametrize("output", ["a full disk", "a reader that left"])
