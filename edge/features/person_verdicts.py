@@ -215,12 +215,12 @@ class PersonVerdicts(PressStage):
         }
 
     def _is_archived(self, press_id: str, evidence: bytes | None) -> bool:
-        """Say whether its record is there still."""
+        """Say whether its record, and all that it names, is there still."""
+        archive = ArchiveFolder(self._store.path.with_suffix(".archive"))
         try:
-            ArchiveFolder(self._store.path.with_suffix(".archive")).press(press_id, evidence)
+            return archive.has_all(archive.press(press_id, evidence))
         except ArchiveError:
             return False
-        return True
 
     commands = (
         Command(

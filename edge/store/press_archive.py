@@ -327,6 +327,10 @@ class ArchiveFolder:
                 f"{path} cannot be read by this version ({error.errors()[0]['msg']}); use the version that wrote it"
             ) from error
 
+    def has_all(self, press: ArchivedPress) -> bool:
+        """Tell whether every file that a press needs is there, without reading them."""
+        return all((self.folder / OBJECTS / digest).is_file() for digest in press.objects)
+
     def read_map(self, press: ArchivedPress) -> NDArray[np.float32]:
         """The score map of a press, float32 (h, w)."""
         data, shape = self._read_of(press, press.score_map, "score map")

@@ -71,10 +71,13 @@ def say(station: SteppedStation, by: str = "kim") -> Callable[..., dict[str, obj
     return do
 
 
-def test_a_press_whose_archive_is_gone_is_not_archived(played: SteppedStation) -> None:
-    """The row alone still names its record."""
+@pytest.mark.parametrize("removed", ["", "objects/*"])
+def test_a_press_whose_archive_is_gone_is_not_archived(played: SteppedStation, removed: str) -> None:
+    """The row alone still names its record, or the record its frame."""
     press_id = played.results[0].press_id
-    shutil.rmtree(played.parts.store.path.with_suffix(".archive"))
+    archive = played.parts.store.path.with_suffix(".archive")
+    for path in archive.glob(removed) if removed else [archive]:
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
     response: Any = say(played)(press_id=press_id, verdict="good")
 
     assert response["data"]["is_archived"] is False
