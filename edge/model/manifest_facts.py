@@ -149,7 +149,9 @@ def promise(limit: ThresholdEntry) -> str:
         floor = f"{_percent(limit.alpha_floor)} (1 in {round(1 / limit.alpha_floor)})"
         rate = f"at best {floor}, not {_percent(limit.alpha)},"
     presses, whom = write_count(limit.n, "press"), "sound presses"
-    if limit.pieces not in (None, limit.n):
+    if limit.pieces == limit.n:
+        presses += f", counted as {write_count(limit.n, 'piece')}"
+    elif limit.pieces is not None:
         presses += f" of {write_count(limit.pieces, 'piece')}"
         whom += " of new pieces"
     whole = f"{presses}: {rate} of {whom} fail, on average over bundles"

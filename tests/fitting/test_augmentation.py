@@ -156,7 +156,8 @@ def test_two_or_three_presses_promise_what_their_number_allows(count: int, floor
     assert limit.n == count
     assert not any("stands apart" in warning for warning in manifest.provenance.warnings)
     assert limit.alpha_floor == pytest.approx(floor)
-    assert promise(limit).startswith(f"{count} presses: at best {100 * floor:.2g} % (1 in {count + 1})")
+    counted = f"{count} presses, counted as {count} pieces"
+    assert promise(limit).startswith(f"{counted}: at best {100 * floor:.2g} % (1 in {count + 1})")
 
 
 @pytest.mark.parametrize(

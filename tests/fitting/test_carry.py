@@ -145,7 +145,7 @@ def test_it_promises_what_eight_presses_show_and_no_more() -> None:
     assert limit.alpha_floor == pytest.approx(1 / 9)
     assert limit.by_press is not None
     assert limit.by_press.rate == pytest.approx(1 - 0.1 ** (1 / 8))
-    assert promise(limit).startswith("8 presses: at best 11 % (1 in 9), not 5 %,")
+    assert promise(limit).startswith("8 presses, counted as 8 pieces: at best 11 % (1 in 9), not 5 %,")
 
 
 def test_of_one_piece_nothing_is_promised_of_others() -> None:
@@ -267,7 +267,7 @@ def test_on_the_command_line_a_bundle_is_written_and_its_promise_printed(files: 
 
     assert done.code == 0, done.err
     assert "carried over to another gel" in done.out
-    assert "5 presses: at best 17 % (1 in 6)" in done.out
+    assert "5 presses, counted as 5 pieces: at best 17 % (1 in 6)" in done.out
     assert read_origin(Bundle.load(files / "new").manifest).gel_id == "G2"
 
 

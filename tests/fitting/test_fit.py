@@ -124,6 +124,13 @@ def test_presses_of_few_pieces_promise_what_pieces_do() -> None:
     assert promise(older.model_copy(update={"rate_range": None})).endswith("on average over bundles")
 
 
+def test_presses_of_unknown_pieces_are_said_to_count_as_pieces() -> None:
+    """All may be of one piece: what is promised rests on it that they are not."""
+    limit = fit_files(presses(19), config(), created="").manifest.threshold
+    assert promise(limit).startswith("19 presses, counted as 19 pieces: at most 5 % of sound presses fail, ")
+    assert promise(limit.model_copy(update={"pieces": None})).startswith("19 presses: at most 5 %")
+
+
 def frames_of(*levels: int) -> NDArray[np.uint8]:
     """Twelve frames of each of these pieces, whose grey differs from piece to piece more than from press to press."""
     rng = np.random.default_rng(1)

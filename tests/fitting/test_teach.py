@@ -116,7 +116,7 @@ def test_a_remedy_finds_it_without_loss(inspected: Judged, faint: Path, tmp_path
     assert manifest.revision == 2
     assert gelgate("bundle", "verify", new).code == 0
     assert (old / "manifest.json").read_bytes() == before
-    assert "false alarms: 8 presses: at" in done.out
+    assert "false alarms: 8 presses, counted as 8 pieces: at" in done.out
 
 
 def press(rng: np.random.Generator, spot: tuple[int, int] | None = None, levels: int = 8) -> np.ndarray:
