@@ -53,7 +53,8 @@ _SAME_TURN_RAD, _SAME_SHARE = math.radians(5), 0.9
 # A part repeats itself at most so often in a turn; more teeth than that are as good as round.
 _MOST_SYMMETRY = 12
 # It looks the same where its agreement falls by less than this: exact symmetries up to 0.011, nearly so from 0.021.
-_ALIKE, _LOOKED_AT = 0.015, 8
+# Of presses of which a third or a half were turned by a wrong 120 degrees (PZ2, six draws) one falls by at most 0.027.
+_ALIKE, _DOUBTED, _LOOKED_AT = 0.015, 0.03, 8
 # A press is held like the others where it differs at their turn at most so many times as much as at its best one.
 _AS_WELL = 1.5
 # Of two ways to read the colours the worse is heard too where its presses differ at most so many times as much. By
@@ -304,7 +305,7 @@ def _look_alike(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
     of_press = [loses(press, one) for press, one in zip(slopes, found, strict=True)]
     lost = dict(zip(parts, zip(*of_press, strict=True), strict=True))
     alike = next((n for n, each in lost.items() if np.median(each) < _ALIKE), 1)
-    doubts = aligned.doubts | {n for n, each in lost.items() if min(each) < _ALIKE}
+    doubts = aligned.doubts | {n for n, each in lost.items() if min(each) < _DOUBTED}
     symmetry = max(aligned.symmetry, alike)
     if symmetry > 1:  # of turns that look the same all presses have the first one's, where they were held so
         held = [search.find_at(one, [0.0])[0] for one in every]

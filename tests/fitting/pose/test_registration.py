@@ -22,6 +22,12 @@ from calibration.fitting.pose import pose_decision
 from calibration.fitting.pose.pose_decision import PoseChoice, choose_pose
 from calibration.fitting.pose.registration import LearntPose, in_pose_of, learn_pose
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.simulator.field_of_view import LR
+from calibration.simulator.parts import PARTS
+from calibration.simulator.pose import Jitter
+from calibration.simulator.pose import Pose as InMm
+from calibration.simulator.renderer import Renderer
+from calibration.simulator.streams import Streams
 from edge.core.contact.mask import Touch
 from edge.core.detector import Bank, Features, Nominal
 from edge.core.errors import BundleCorrupt, FitError, PoseNotFound
@@ -369,6 +375,24 @@ def test_a_turn_that_some_presses_do_not_show_is_said() -> None:
     said = PoseChoice(doubtful).find_warnings([""] * 8)
     assert "turn of presses is not sure: some agree nearly as well turned by 120 degrees" in said[0]
     assert not PoseChoice(sure).find_warnings([""] * 6)
+
+
+@pytest.mark.lab
+def test_a_nearly_symmetric_part_whose_turns_are_wrong_is_said_to_be_in_doubt() -> None:
+    """24 presses of a connector with three pins that lies anywhere: 12 are turned by a wrong 120 degrees."""
+    streams, region = Streams(11), Region.centre(LR.size)
+    gel = Renderer(LR, jitter=Jitter(0.0, 0.0, 1.0, 0.1), streams=streams)
+    places = [streams("anywhere", k).uniform(0, (1, 2 * math.pi, 2 * math.pi)).tolist() for k in range(24)]
+    frames = [
+        region.crop(gel.press(PARTS["PZ2"].positions["pos1"], PARTS["PZ2"].depth_mm, (k,), InMm(at, turn)))
+        for k, (away, towards, turn) in enumerate(places)
+        for at in [(2.5 * math.sqrt(away) * math.cos(towards), 2.5 * math.sqrt(away) * math.sin(towards))]
+    ]
+    learnt = learn_pose(np.stack(frames), region.crop(gel.free_gel()))
+
+    assert (learnt.part.symmetry, learnt.nearly) == (1, 3)
+    (said,) = PoseChoice(learnt).find_warnings([""] * 24)
+    assert "turn of presses is not sure: some agree nearly as well turned by 120 degrees" in said
 
 
 def test_a_press_in_which_the_part_is_not_recognised_is_named() -> None:
