@@ -241,7 +241,7 @@ class Commands:
             raise
         log.info("command %s was done for %s", verb, request.by or "an unnamed client")
         self._keep(act_id, "done", None, change.before, change.after)
-        return self._answer(verb, request.transaction, data=change.data)
+        return self._answer(verb, request.transaction, data=dict(change.data))
 
     def _keep(self, act_id: int, *outcome: Any) -> None:
         """Write the outcome; where that fails, what was done stays done."""
@@ -259,18 +259,10 @@ class Commands:
             error = "this request is being done, or was interrupted; see the station's state"
         else:
             error = earlier.sentence
-        return self._answer(act.verb, act.request, error, earlier.after, is_repeated=True)
+        return self._answer(act.verb, act.request, error, data=dict(earlier.after or {}), is_repeated=True)
 
-    def _answer(
-        self,
-        verb: str,
-        transaction: str | None,
-        error: str | None = None,
-        data: Mapping[str, Any] | None = None,
-        is_repeated: bool = False,
-    ) -> bytes:
-        said = {"data": dict(data or {}), "is_repeated": is_repeated}
-        return CommandResponse.of(self._clock.time_ns(), verb, error, transaction, **said).encode()
+    def _answer(self, verb: str, transaction: str | None, error: str | None = None, **more: Any) -> bytes:
+        return CommandResponse.of(self._clock.time_ns(), verb, error, transaction, **more).encode()
 
 
 def _transaction(payload: bytes) -> str | None:
