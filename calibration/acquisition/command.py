@@ -5,22 +5,22 @@ import shlex
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
+from calibration.acquisition.acquiring import Acquiring
 from calibration.acquisition.arguments import AcquireArguments
+from calibration.acquisition.coverage import ROUND, Standing
+from calibration.acquisition.report import forecast_lines, press_line, signals, summary_lines
+from calibration.acquisition.sources import Found, find_sensor, frames_of, from_frames, from_sources
 from calibration.fitting.command import choose_profile, fit, refuse_existing, resolve_sources
+from calibration.fitting.presses.recorded_presses import PressFinder
+from calibration.fitting.presses.sources import DEFAULT_POSITION, check_name
 from edge.cli.arguments import flatten
 from edge.clock import SystemClock
 from edge.core.errors import ConfigError, FitError
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
-
-if TYPE_CHECKING:
-    from calibration.acquisition.acquiring import Acquiring
-    from calibration.acquisition.coverage import Standing
-    from calibration.acquisition.sources import Found
-    from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.imaging.sensor_profile import SensorProfile
 
 __all__ = ["acquire", "alpha", "check_promise", "fit_now", "summarise", "take_presses"]
 
@@ -42,13 +42,11 @@ def acquire(given: AcquireArguments) -> None:
         fit_now(acquiring.folder.root, plan, acquiring.standing, plan.fit)
 
 
-def take_presses(given: AcquireArguments) -> tuple["Acquiring", AcquireArguments, int]:
+def take_presses(given: AcquireArguments) -> tuple[Acquiring, AcquireArguments, int]:
     """Take presses until they are enough or Ctrl-C; return them, what they are of, and how many the gel is rated for.
 
     Errors: as the sources'.
     """
-    from calibration.acquisition.acquiring import Acquiring
-
     _check(given)
     sensor = choose_profile(given.profile, given.sources or [])
     stream, part, position, limit = _stream(given, sensor)
@@ -81,15 +79,11 @@ def check_promise(name: str, value: float) -> None:
         raise ConfigError(f"{name} lies between 0 and 1, found {value}; 0.1 is one in ten")
 
 
-Stream = Iterator["Found"]
+Stream = Iterator[Found]
 
 
-def _stream(given: AcquireArguments, profile: "SensorProfile") -> tuple[Stream, str, str, int]:
+def _stream(given: AcquireArguments, profile: SensorProfile) -> tuple[Stream, str, str, int]:
     """The presses, their part and position, and how many presses the gel is rated for. Errors: as the sources'."""
-    from calibration.acquisition.sources import find_sensor, frames_of, from_frames, from_sources
-    from calibration.fitting.presses.recorded_presses import PressFinder
-    from calibration.fitting.presses.sources import DEFAULT_POSITION, check_name
-
     if given.sources:
         found = resolve_sources(given.sources, given.part, given.position, profile)
         stream = from_sources(
@@ -115,11 +109,8 @@ def _stream(given: AcquireArguments, profile: "SensorProfile") -> tuple[Stream, 
     return stream, given.part, position, sensor.gel_limit
 
 
-def _run(acquiring: "Acquiring", stream: Stream, limit: int, most: int, go_on: bool) -> None:
+def _run(acquiring: Acquiring, stream: Stream, limit: int, most: int, go_on: bool) -> None:
     """Take presses until they are enough, the source ends, or there are `most`."""
-    from calibration.acquisition.coverage import ROUND
-    from calibration.acquisition.report import forecast_lines, press_line, signals
-
     standing = acquiring.standing
     said = 0
     while standing.presses < most and (go_on or not standing.is_enough):
@@ -141,10 +132,8 @@ def _run(acquiring: "Acquiring", stream: Stream, limit: int, most: int, go_on: b
             typer.echo(f"put in piece {acquiring.pieces.next}")
 
 
-def summarise(acquiring: "Acquiring", limit: int) -> None:
+def summarise(acquiring: Acquiring, limit: int) -> None:
     """Print the summary and draw the map. Errors: FitError where no press was taken."""
-    from calibration.acquisition.report import summary_lines
-
     standing = acquiring.standing
     if not standing.presses:
         why = f": {acquiring.left_out[0]}" if acquiring.left_out else ""
@@ -157,7 +146,7 @@ def summarise(acquiring: "Acquiring", limit: int) -> None:
 USUAL_ALPHA = 0.05
 
 
-def alpha(standing: "Standing") -> float:
+def alpha(standing: Standing) -> float:
     """The rate to ask `fit` for, so that no nominal press lies above its threshold: the promise counts on that.
 
     1 / (pieces + 1), rounded up, is the largest rate that puts the threshold at the highest score.
@@ -170,7 +159,7 @@ def alpha(standing: "Standing") -> float:
 _PASSED_ON = ("part", "position", "profile", "region", "method", "backbone")
 
 
-def fit_command(folder: Path, plan: AcquireArguments, standing: "Standing") -> str:
+def fit_command(folder: Path, plan: AcquireArguments, standing: Standing) -> str:
     """Return the command line that fits the acquired presses."""
     words = ["gelgate", "fit", str(folder / "presses"), "-o", f"{plan.part}.bundle"]
     if any((folder / "free").iterdir()):
@@ -181,7 +170,7 @@ def fit_command(folder: Path, plan: AcquireArguments, standing: "Standing") -> s
     return shlex.join(words)
 
 
-def fit_now(folder: Path, plan: AcquireArguments, standing: "Standing", output: Path) -> None:
+def fit_now(folder: Path, plan: AcquireArguments, standing: Standing, output: Path) -> None:
     """Fit the acquired presses and print the summary. Errors: as `gelgate fit`."""
     fit(
         sources=[folder / "presses"],

@@ -4,15 +4,21 @@ import os
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from calibration.progress import Stages
+from calibration.simulator.dataset_writer import simulate_dataset
+from calibration.simulator.defects import DEFECTS
+from calibration.simulator.effects import EFFECTS
+from calibration.simulator.parts import PARTS
+from calibration.simulator.preview import write_preview
+from calibration.simulator.record import simulate_recording
+from calibration.simulator.scene import Scene, load_scene, paper_scenes, scene_names
+from calibration.simulator.sensor_appearance import SENSORS
+from calibration.simulator.sensor_file import find_sensor
 from edge.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from calibration.simulator.scene import Scene
 
 __all__ = ["simulate"]
 
@@ -31,12 +37,6 @@ def _list(is_wanted: bool) -> None:
 
 def _list_scenes() -> Iterator[str]:
     """List the scenes that come with the product, and the names that a scene's file may use."""
-    from calibration.simulator.defects import DEFECTS
-    from calibration.simulator.effects import EFFECTS
-    from calibration.simulator.parts import PARTS
-    from calibration.simulator.scene import load_scene, scene_names
-    from calibration.simulator.sensor_appearance import SENSORS
-
     for name in scene_names():
         scene = load_scene(name)
         kind = "dataset" if scene.nominal else "recordings: " + ", ".join(run.name for run in scene.runs)
@@ -90,9 +90,6 @@ def simulate(
 
     The same command continues an interrupted one; complete files are kept.
     """
-    from calibration.simulator.scene import load_scene, paper_scenes
-    from calibration.simulator.sensor_file import find_sensor
-
     scenes = paper_scenes() if scene == "paper" else [load_scene(scene)]
     output = output or Path("simulated", Path(scene).stem)
     if sensor:
@@ -108,10 +105,8 @@ def simulate(
 
 
 def _dataset(
-    scenes: "list[Scene]", output: Path, seed: int, presses: int | None, run: str, workers: int
+    scenes: list[Scene], output: Path, seed: int, presses: int | None, run: str, workers: int
 ) -> None:
-    from calibration.simulator.dataset_writer import simulate_dataset
-
     if run:
         raise ConfigError(f"scene '{scenes[0].name}' describes a dataset, which has no runs; leave --run out")
     with Stages() as report:
@@ -120,11 +115,7 @@ def _dataset(
     typer.echo(f"dataset: {output}")
 
 
-def _recordings(
-    scene: "Scene", output: Path, seed: int, presses: int | None, only: str, workers: int
-) -> None:
-    from calibration.simulator.record import simulate_recording
-
+def _recordings(scene: Scene, output: Path, seed: int, presses: int | None, only: str, workers: int) -> None:
     for name in [only] if only else [run.name for run in scene.runs]:
         folder = output if only else output / name
         with Stages() as report:
@@ -136,10 +127,7 @@ def _recordings(
             typer.echo(f"warning: a gateway finds no press: without the effect '{effect}' {what}", err=True)
 
 
-def _preview(scenes: "list[Scene]", output: Path, seed: int) -> None:
-    from calibration.simulator.effects import EFFECTS
-    from calibration.simulator.preview import write_preview
-
+def _preview(scenes: list[Scene], output: Path, seed: int) -> None:
     for scene in scenes:
         typer.echo(f"preview: {write_preview(scene, output, seed)}")
         left_out = [name for name in EFFECTS if name not in scene.effects]

@@ -3,21 +3,29 @@
 import datetime
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from calibration.fitting.command import refuse_existing
+from calibration.fitting.fit_again import configure_again, read_again
+from calibration.fitting.limits.map_limit import WINDOW_MM
 from calibration.fitting.options import LeaveOut, NoContact, Overwrite, Threads
+from calibration.fitting.regions.drawing import (
+    draw_regions,
+    find_promise,
+    is_stricter,
+    parse_region,
+    read_regions,
+    write_regions,
+)
 from edge.cli.arguments import add_argument, add_option, flatten
+from edge.core.drawn_regions import DrawnRegion
 from edge.core.errors import ConfigError
 from edge.core.printable import write_count
 from edge.core.suggest import suggestion
-
-if TYPE_CHECKING:
-    from edge.core.drawn_regions import DrawnRegion
-    from edge.model.bundle import Bundle
-    from edge.model.manifest import ThresholdEntry
+from edge.model.bundle import Bundle
+from edge.model.manifest import ThresholdEntry
+from edge.model.manifest_facts import promise
 
 __all__ = ["regions"]
 
@@ -55,11 +63,6 @@ def regions(given: RegionsArguments) -> None:
     score map is weighed by the regions before the verdict, and with registration they follow the part. The new bundle
     is not signed.
     """
-    from calibration.fitting.limits.map_limit import WINDOW_MM
-    from calibration.fitting.regions.drawing import draw_regions, write_regions
-    from edge.model.bundle import Bundle
-    from edge.model.manifest_facts import promise
-
     old = Bundle.load(given.bundle)
     if not (given.add or given.file or given.remove):
         drawn = old.manifest.regions
@@ -91,10 +94,8 @@ def regions(given: RegionsArguments) -> None:
     typer.echo(f"revision {manifest.revision} written to {given.output}")
 
 
-def _change(given: RegionsArguments, old: "Bundle") -> list["DrawnRegion"]:
+def _change(given: RegionsArguments, old: Bundle) -> list[DrawnRegion]:
     """Return the regions that the bundle is to have. Errors: ConfigError."""
-    from calibration.fitting.regions.drawing import parse_region, read_regions
-
     kept = {one.name: one for one in (old.manifest.regions.regions if old.manifest.regions else ())}
     for name in given.remove or ():
         if name not in kept:
@@ -105,14 +106,9 @@ def _change(given: RegionsArguments, old: "Bundle") -> list["DrawnRegion"]:
     return [*kept.values(), *added, *map(parse_region, given.add or ())]
 
 
-def _find_promise(
-    given: RegionsArguments, old: "Bundle", wanted: list["DrawnRegion"]
-) -> "ThresholdEntry | None":
+def _find_promise(given: RegionsArguments, old: Bundle, wanted: list[DrawnRegion]) -> ThresholdEntry | None:
     """Find what the limit promises where a place is judged more strictly; None where its promise holds. Errors:
     FitError, ConfigError without the nominal presses."""
-    from calibration.fitting.fit_again import configure_again, read_again
-    from calibration.fitting.regions.drawing import find_promise, is_stricter
-
     if not is_stricter(old, wanted):
         return None
     if not given.sources:
