@@ -156,7 +156,7 @@ class _Features:
         damage = render_damage(plan.presses, *plan.config.view, rng)
         if damage is None:
             return None, None, "no contact is seen; give a picture of the free gel with --no-contact"
-        return *self.pose.show_damage(damage, self.take), ""
+        return *self.pose.show_damage(damage, self.take, plan.presses.unjudged), ""
 
     def prove_pose(self, held_out: HeldOut | None, damage: DamagedPresses | None) -> "_Features":
         """Prove registration by held-out presses. Errors: FitError where they show nothing."""
@@ -257,7 +257,7 @@ def _learn_bank(features: _Features, watch: StageTimes) -> _Learnt:
     """Learn the bank, and find the limit that it is to have. Errors: FitError."""
     plan, learner, nominal = features.plan, features.learner, features.nominal
     with watch.time("threshold"):
-        shown = features.pose.show(nominal, features.take)
+        shown = features.pose.show(nominal, features.take, plan.presses.unjudged)
         damage, damaged, why_plain = features.render_damage()
         edited = None if damage is None or damaged is None else (damaged, damage.press)
 

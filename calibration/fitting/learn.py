@@ -17,6 +17,7 @@ import numpy as np
 from calibration.fitting.carry import MOST_CHANGE
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.clock import SystemClock
+from edge.core.arrays import Mask
 from edge.core.errors import ArchiveError, FitError, NotScorable, PoseNotFound
 from edge.core.imaging.decode import decode
 from edge.core.imaging.followed_light import FollowedLight
@@ -42,6 +43,7 @@ __all__ = [
     "ConfirmedPresses",
     "join_pieces",
     "judge_presses",
+    "leave_out_places",
     "read_confirmed",
     "score_refused",
     "write_picture",
@@ -69,6 +71,8 @@ class ConfirmedPress:
     frame: bytes
     piece: str
     """What the presses of one piece have in common."""
+    unjudged: Mask | None = None
+    """The places at which the station did not judge it, bool (h, w) of the region; None for none."""
     refused_score: float | None = None
     """The score that the bundle would have given, had it not refused it for its colours."""
 
@@ -219,13 +223,14 @@ def read_confirmed(
         try:
             press = archive.press(press_id, evidence)
             frame = archive.read(press.frame, f"the judged frame of press {press_id}")
+            unjudged = None if press.masked is None else archive.read_masked(press)
         except ArchiveError as error:
             unknown = "; whether the new bundle finds this damage is not known" if is_doubted else ""
             found.left_out.append(f"{error}{unknown}")
             continue
         is_here = press_id in found.on_new_gel and verdict.saying == "good"
         score = score_anyway(press, frame) if is_here else None
-        found.add(ConfirmedPress(press, verdict, frame, pieces[press_id], score))
+        found.add(ConfirmedPress(press, verdict, frame, pieces[press_id], unjudged, score))
     found.leave_out_far()
     return found
 
@@ -249,6 +254,19 @@ def join_pieces(presses: NominalPresses, confirmed: Sequence[ConfirmedPress]) ->
         for k in rows if len(rows) > 1 else ():
             specimens[k] = known[0] if known else presses.names[rows[0]]
     return replace(presses, specimens=tuple(specimens))
+
+
+def leave_out_places(presses: NominalPresses, confirmed: Sequence[ConfirmedPress]) -> NominalPresses:
+    """Return the presses; those of the station with the places at which it did not judge them, of the region of now.
+    presses: as `join_pieces` takes them."""
+    nothing = np.zeros(presses.frames.shape[1:3], np.bool_)
+    places = {
+        one.press.press_id: one.unjudged
+        for one in confirmed
+        if one.unjudged is not None and one.unjudged.shape == nothing.shape
+    }
+    masks = [places.get(Path(name).stem, nothing) for name in presses.names]
+    return replace(presses, unjudged=np.stack(masks)) if places else presses
 
 
 def write_picture(press: ArchivedPress, frame: bytes, folder: Path) -> Path:

@@ -21,6 +21,7 @@ from calibration.fitting.learn import (
     ConfirmedPresses,
     join_pieces,
     judge_presses,
+    leave_out_places,
     read_confirmed,
     score_refused,
     write_picture,
@@ -93,7 +94,7 @@ def learn(given: LearnArguments) -> None:
             no_contact=given.no_contact,
             leave_out=given.leave_out or (),
         )
-    presses = join_pieces(presses, confirmed.good)
+    presses = leave_out_places(join_pieces(presses, confirmed.good), confirmed.good)
     _warn_without_gel(old, presses)
     warn_of_lost(old)
     learnt = [k for k, name in enumerate(presses.names) if name.startswith(f"{pictures.name}/")]

@@ -1,6 +1,7 @@
 """`gelgate bundle learn`: what people said at a station becomes a new bundle, or a sentence."""
 
 import dataclasses
+import hashlib
 import json
 import re
 from collections.abc import Mapping
@@ -19,17 +20,26 @@ from stepped_station import SteppedStation
 
 from calibration.fitting.fit import Fitted, fit_files
 from calibration.fitting.fit_again import configure_again
-from calibration.fitting.learn import Comparison, ConfirmedPress, ConfirmedPresses, write_picture
+from calibration.fitting.learn import (
+    Comparison,
+    ConfirmedPress,
+    ConfirmedPresses,
+    leave_out_places,
+    read_confirmed,
+    write_picture,
+)
 from calibration.fitting.learn_command import _warn_of_fewer_found
-from calibration.fitting.presses.nominal_presses import read_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
+from edge.core.arrays import Mask
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
+from edge.core.part_position import PartPosition
 from edge.core.person_verdict import PersonVerdict
 from edge.core.press import Press
 from edge.core.verdict import decide
 from edge.model.bundle import Bundle
 from edge.store.gel_proofs import GelBundle
-from edge.store.press_archive import ArchivedPress
+from edge.store.press_archive import ArchivedPress, ArchiveFolder, mask_bytes
 
 
 def learn(station: Judged, *more: object, bundle: Path | None = None, sources: Path | None = None) -> Outcome:
@@ -95,6 +105,40 @@ def test_damage_called_good_is_left_out_and_named(station: Judged, monkeypatch: 
     assert f"warning: left out: {station.ids[2]} (fail, 1.2" in done.err
     assert "lies beyond 1.1 times the threshold" in done.err
     assert "9 nominal presses, 1 of them from the station" in done.out
+
+
+def test_where_the_station_did_not_judge_a_press_nothing_is_learnt(station: Judged) -> None:
+    """Of the others everything is; what was archived by a region of another size says nothing of this one."""
+    station.say({0: "good", 1: "good", 3: "good"})
+    scar = hide_places(station, station.ids[1], (224, 224))
+    hide_places(station, station.ids[3], (100, 100))
+    confirmed = read_confirmed(station.database, PartPosition("bolt", "default"), "").good
+    names = (*(f"confirmed/{press_id}.jpg" for press_id in station.ids[:4]), "nominal/one.jpg")
+    presses = NominalPresses(np.zeros((5, 224, 224, 3), np.uint8), names)
+
+    found = leave_out_places(presses, confirmed).unjudged
+
+    assert found is not None
+    assert [bool(places.any()) for places in found] == [False, True, False, False, False]
+    np.testing.assert_array_equal(found[1], scar)
+    unscarred = [one for one in confirmed if one.press.press_id != station.ids[1]]
+    assert leave_out_places(presses, unscarred).unjudged is None
+
+
+def hide_places(station: Judged, press_id: str, shape: tuple[int, int]) -> Mask:
+    """Archive a press as if scars of the gel had lain under some places of it."""
+    folder, scar = station.database.with_suffix(".archive"), np.zeros(shape, np.bool_)
+    scar[20:30, 40:60] = True
+    ((evidence,),) = execute(station.database, f"SELECT evidence FROM presses WHERE press_id = '{press_id}'")
+    data = mask_bytes(scar)
+    masked = hashlib.sha256(data).hexdigest()
+    press = ArchiveFolder(folder).press(press_id, evidence)
+    press = press.model_copy(update={"masked": masked, "map_shape": shape})
+    (folder / "objects" / masked).write_bytes(data)
+    (folder / "presses" / f"{press_id}.json").write_bytes(press.encode())
+    changed = f"UPDATE presses SET evidence = x'{press.sha256().hex()}' WHERE press_id = '{press_id}'"
+    execute(station.database, changed)
+    return scar
 
 
 def test_presses_that_get_another_verdict_are_named(station: Judged) -> None:

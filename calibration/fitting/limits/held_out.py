@@ -44,12 +44,16 @@ class ShownPresses:
 
     features: Features
     registered: Sequence[Registered] | None = None
-    """Each of these; None where presses are scored as they lie, and all places count."""
+    """Each of these; None where presses are scored as they lie."""
+    unjudged: Mask | None = None
+    """Places of presses as they lie that do not count, (n, h, w); None for none."""
 
     @cached_property
     def seen(self) -> Mask | None:
         """The places that count, (n, h, w); None for all."""
-        return None if self.registered is None else np.stack([one.seen for one in self.registered])
+        if self.registered is not None:
+            return np.stack([one.seen for one in self.registered])
+        return None if self.unjudged is None else ~self.unjudged
 
 
 @dataclass(frozen=True, eq=False)

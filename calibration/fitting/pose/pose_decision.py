@@ -21,13 +21,13 @@ from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.strangers import list_names
 from calibration.fitting.self_check import AT_CHANCE, may_compare
 from calibration.metrics.summary import auroc
-from edge.core.arrays import F64, U8
+from edge.core.arrays import F64, U8, Mask
 from edge.core.detector import Nominal
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.registration.colours import FreeLight
-from edge.core.registration.pose import warp
+from edge.core.registration.pose import Registered, warp
 from edge.core.registration.registrar import PartInPose, Registrar, find_relief
 from edge.model.tile_runner import most_typical
 
@@ -121,13 +121,16 @@ class PoseChoice:
         if self.learnt is None:
             return presses
         touches = tuple(replace(touch, x=0.5, y=0.5) for touch in presses.touches)
-        return replace(presses, frames=self.learnt.frames, raw=None, touches=touches, touched=None)
+        return replace(
+            presses, frames=self.learnt.frames, raw=None, touches=touches, touched=None, unjudged=None
+        )
 
-    def show(self, nominal: Nominal, take: Take) -> ShownPresses:
+    def show(self, nominal: Nominal, take: Take, unjudged: Mask | None = None) -> ShownPresses:
         """Return the nominal presses as the gateway shows them to the bank: what a press does not show is the mean
-        press, and does not count. What the bank learns there is other presses, with seams that no gateway makes."""
+        press, and does not count. What the bank learns there is other presses, with seams that no gateway makes.
+        unjudged: what does not count of presses that are scored as they lie."""
         if self.learnt is None:
-            return ShownPresses(nominal.features)
+            return ShownPresses(nominal.features, unjudged=unjudged)
         registered = self.learnt.registered
         return ShownPresses(take(np.stack([one.rgb for one in registered])), registered)
 
@@ -138,12 +141,18 @@ class PoseChoice:
         registrar = Registrar(self.learnt.part)
         return lambda frames: take(np.stack([registrar.register(rgb).rgb for rgb in frames]))
 
-    def show_damage(self, damage: DamagedPresses, take: Take) -> tuple[DamagedPresses, ShownPresses]:
-        """Bring presses with damage to the bank as the gateway does; those without a pose are left out."""
+    def show_damage(
+        self, damage: DamagedPresses, take: Take, unjudged: Mask | None = None
+    ) -> tuple[DamagedPresses, ShownPresses]:
+        """Bring presses with damage to the bank as the gateway does; those without a pose are left out. unjudged: of
+        the nominal presses."""
+        hidden = None if unjudged is None else unjudged[damage.press]
         if self.learnt is None:
-            return damage, ShownPresses(take(damage.frames))
+            return damage, ShownPresses(take(damage.frames), unjudged=hidden)
         registrar = Registrar(self.learnt.part)
         found = [registrar.register(rgb) for rgb in damage.frames]
+        if hidden is not None:
+            found = list(map(Registered.without, found, hidden))
         kept = [k for k, one in enumerate(found) if one.refusal is None] or list(range(len(found)))
         moved = [
             (warp(damage.masks[k].astype(np.float32), found[k].pose) > 0.5) & found[k].seen for k in kept
@@ -168,7 +177,8 @@ def choose_pose(
     """
     if earlier is not None:
         return PoseChoice(
-            keep_pose(earlier, presses.frames), "presses are registered as in the bundle before"
+            keep_pose(earlier, presses.frames, presses.unjudged),
+            "presses are registered as in the bundle before",
         )
     if register == "never":
         return PoseChoice(None)
@@ -188,7 +198,7 @@ def choose_pose(
     if spread <= HELD_MM and learner.detector.compares_places and not has_copies:
         held = replace(learnt.part, is_held=True, symmetry=min(1, learnt.part.symmetry))
         why = f"presses are registered: {lie}, and the next may lie further away"
-        return PoseChoice(keep_pose(held, presses.frames), why, faults=faults)
+        return PoseChoice(keep_pose(held, presses.frames, presses.unjudged), why, faults=faults)
     if spread <= SPREAD_MM:
         why = f"presses are compared as they lie: {apart}, {SPREAD_MM} mm are tolerated"
         return PoseChoice(None, why, faults=faults)
@@ -243,7 +253,7 @@ def _learn(presses: NominalPresses) -> LearntPose:
         )
     if len(presses) < LEAST_PRESSES:
         raise FitError(f"registration needs at least {LEAST_PRESSES} presses, found {len(presses)}")
-    return learn_pose(presses.frames, most_typical(presses.no_contact))
+    return learn_pose(presses.frames, most_typical(presses.no_contact), presses.unjudged)
 
 
 def pose_spread_mm(learnt: LearntPose, pixels_per_mm: float) -> float:

@@ -95,7 +95,7 @@ class LearntPose:
         ]
 
 
-def learn_pose(frames: U8, free: U8) -> LearntPose:
+def learn_pose(frames: U8, free: U8, unjudged: Mask | None = None) -> LearntPose:
     """Learn the pose from nominal presses and the free gel, uint8 (n, h, w, 3) and (h, w, 3). Errors: FitError."""
     light = FreeLight(free)
     added = [light.find_change(rgb) for rgb in frames]
@@ -110,8 +110,7 @@ def learn_pose(frames: U8, free: U8) -> LearntPose:
             "relief lies on the gel"
         )
     part = _average(light, added, _find_others(every, chosen, best))
-    registrar = Registrar(part)
-    registered = tuple(registrar.register(rgb) for rgb in frames)
+    registered = _register(part, frames, unjudged)
     lowest = min(one.match for one in registered)
     part = replace(
         part,
@@ -121,11 +120,16 @@ def learn_pose(frames: U8, free: U8) -> LearntPose:
     return LearntPose(part, registered, completed(registered), _doubt(best))
 
 
-def keep_pose(part: PartInPose, frames: U8) -> LearntPose:
-    """Bring nominal presses, uint8 (n, h, w, 3), to a pose that was learnt before."""
+def keep_pose(part: PartInPose, frames: U8, unjudged: Mask | None = None) -> LearntPose:
+    """Bring nominal presses, uint8 (n, h, w, 3), to a pose that was learnt before. unjudged: counts as not seen."""
+    registered = _register(part, frames, unjudged)
+    return LearntPose(part, registered, completed(registered))
+
+
+def _register(part: PartInPose, frames: U8, unjudged: Mask | None) -> tuple[Registered, ...]:
     registrar = Registrar(part)
     registered = tuple(registrar.register(rgb) for rgb in frames)
-    return LearntPose(part, registered, completed(registered))
+    return registered if unjudged is None else tuple(map(Registered.without, registered, unjudged))
 
 
 def _firsts(small: Sequence[F32]) -> list[F32]:

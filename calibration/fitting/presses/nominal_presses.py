@@ -89,6 +89,8 @@ class NominalPresses:
     """The dots of a marker gel, filled in the pictures; None where they are none, or are not filled."""
     raw: NDArray[np.uint8] | None = None
     """The pictures before they were smoothed, (n, h, w, 3); None where they are not smoothed."""
+    unjudged: NDArray[np.bool_] | None = None
+    """Places at which a station did not judge them, as under scars of its gel, (n, h, w); None for none."""
 
     def __post_init__(self) -> None:
         if self.frames.ndim != 4 or self.frames.shape[3] != 3 or self.frames.dtype != np.uint8:
@@ -115,8 +117,10 @@ class NominalPresses:
     def choose(self, rows: Sequence[int]) -> "NominalPresses":
         """Return these presses alone."""
         kept = {name: tuple(getattr(self, name)[k] for k in rows if getattr(self, name)) for name in _EACH}
-        raw = None if self.raw is None else self.raw[list(rows)]
-        return replace(self, frames=self.frames[list(rows)], raw=raw, film=(), **kept)  # type: ignore[arg-type]
+        frames, raw, unjudged = (
+            None if each is None else each[list(rows)] for each in (self.frames, self.raw, self.unjudged)
+        )
+        return replace(self, frames=frames, raw=raw, unjudged=unjudged, film=(), **kept)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)

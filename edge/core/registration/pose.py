@@ -2,8 +2,9 @@
 to that pose, with its score map brought back."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import cv2
 import numpy as np
@@ -137,6 +138,10 @@ class Registered:
     def turn_rad(self) -> float | None:
         """The least turn at which the part looks as it does; None where the part has no turn."""
         return math.remainder(self.pose.turn_rad, 2 * math.pi / self.symmetry) if self.symmetry else None
+
+    def without(self, places: Mask) -> Self:
+        """Return it as if it did not show these places of the press, bool (h, w)."""
+        return replace(self, seen=self.seen & (warp(places.astype(np.float32), self.pose) == 0))
 
     def show_missing(self, score_map: F32, relief_map: F32) -> F32:
         """Return the map, in the bank's pose, with missing relief at its full height where places are seen.

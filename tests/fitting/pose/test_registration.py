@@ -20,7 +20,7 @@ from calibration.fitting.limits.appended import append
 from calibration.fitting.limits.held_out import HeldOut, ScoredPresses
 from calibration.fitting.pose import pose_decision
 from calibration.fitting.pose.pose_decision import PoseChoice, choose_pose
-from calibration.fitting.pose.registration import LearntPose, in_pose_of, learn_pose
+from calibration.fitting.pose.registration import LearntPose, in_pose_of, keep_pose, learn_pose
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.simulator.field_of_view import LR
 from calibration.simulator.parts import PARTS
@@ -229,6 +229,27 @@ def test_presses_are_held_out_as_the_gateway_shows_them() -> None:
     assert still.seen is None
     assert still.features is unused.features
     assert PoseChoice(None).take_shown(take) is take
+
+
+def test_a_scar_under_which_a_station_did_not_judge_raises_no_limit() -> None:
+    """Nor does the bank learn it: the places are those of other presses. Elsewhere these presses are learnt."""
+    old = registered().bundle().registration
+    assert old is not None
+    frames = parts.anywhere(parts.BLOCK, 14)[1]
+    scarred, places = frames.copy(), np.zeros(frames.shape[:3], np.bool_)
+    scarred[:2, 60:68, 50:58] = 255
+    places[:2, 48:80, 38:70] = True
+
+    shown, hidden, clean = (
+        fitted(nominal(rgb, unjudged=unjudged), "auto", pose=old)
+        for rgb, unjudged in ((scarred, None), (scarred, places), (frames, None))
+    )
+
+    highest = [one.manifest.threshold.nominal_scores[-1] for one in (shown, hidden, clean)]
+    assert highest[0] > 5 * highest[1]
+    assert highest[1] < 1.1 * highest[2]
+    learnt = keep_pose(old, scarred, places)
+    assert max(abs(learnt.frames.astype(int) - keep_pose(old, frames).frames).max(axis=(1, 2, 3))) < 60
 
 
 def test_the_limit_is_higher_at_a_cut_of_the_gel_wherever_the_part_lies() -> None:
