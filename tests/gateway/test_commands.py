@@ -1,5 +1,6 @@
 """Requests to a running station, from any thread: trigger, relearn, replace_gel."""
 
+import json
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,7 @@ from edge.core.errors import GelgateError
 from edge.gateway.command_table import every_command, station_handlers
 from edge.gateway.loop_calls import LoopCalls
 from edge.messaging.command_payloads import ReplaceGelArguments
+from edge.store.outbox import Outbox
 
 
 def answer(ask: Callable[[], object], turn: Callable[[], object]) -> str:
@@ -52,6 +54,11 @@ def test_a_triggered_press_has_one_verdict_and_a_new_gel_starts_at_0(tmp_path: P
         assert ask("trigger").startswith("this press has its verdict")
         assert ask("replace_gel", gel_id="next", limit_presses=7) == ""
         assert ask("replace_gel", gel_id="next").startswith("gel 'next' was already used")
+        with Outbox(station.parts.store.path) as outbox:
+            waiting = {row.message.topic: row.message.payload for row in outbox.pending("none", 100)}
+        assert json.loads(waiting["gel"])["gel_id"] == "next", (
+            "the old gel's count waits, and comes after the new gel"
+        )
 
     assert answers[0].startswith("nothing presses the gel")
     assert "" in answers
