@@ -24,7 +24,7 @@ GOLDEN = Path(__file__).parents[1] / "compatibility/golden/interface.txt"
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with presses of a part, a press of another piece, and a station that the examples' bundle serves."""
     folder = tmp_path_factory.mktemp("desk")
-    press_recording(folder / "nominal", 8, seed=1)
+    press_recording(folder / "nominal", 6, seed=1)
     press_recording(folder / "line", 2, seed=2)
     (folder / "press.png").write_bytes(png(taken(3)))
     (folder / "gelgate.toml").write_text(
@@ -98,7 +98,7 @@ def test_a_file_and_its_pixels_have_one_score(bundle: gelgate.Bundle) -> None:
 def test_a_fit_of_arrays_with_settings() -> None:
     """In memory, with an option and a parameter of the detector; nothing is left behind."""
     before = sorted(Path.cwd().iterdir())
-    presses = [taken(seed) for seed in range(8)]
+    presses = [taken(seed) for seed in range(6)]
     settings = {"limit": "plain", "register": "never", "channels": 20}
     fitted = gelgate.fit(presses, part="PZ9", profile="cropped_lr", **settings)
 

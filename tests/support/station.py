@@ -224,9 +224,9 @@ def two_parts(folder: Path, bundle: Path) -> str:
 
 @pytest.fixture(scope="session")
 def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bundle fitted on twelve nominal presses."""
+    """A bundle fitted on six nominal presses."""
     folder = tmp_path_factory.mktemp("bundle")
-    return small_bundle(folder / "pz0", press_recording(folder / "nominal", 12, seed=1))
+    return small_bundle(folder / "pz0", press_recording(folder / "nominal", 6, seed=1))
 
 
 @pytest.fixture(scope="session")

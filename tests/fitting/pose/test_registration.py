@@ -105,6 +105,7 @@ def test_a_proof_that_decides_nothing_is_for_registration_where_places_are_compa
     """With 14 sound presses 0.01 is chance, and the next press may lie further away."""
     figures = SimpleNamespace(judge_registered=lambda: (separated, 1.0), judge_still=lambda: (0.855, 1.0))
     monkeypatch.setattr(pose_decision._Proof, "of", lambda *_: figures)
+    monkeypatch.setattr(pose_decision, "_learn", lambda _: learnt_from(parts.BLOCK, 9))
     learner: Any = SimpleNamespace(detector=detector)
     presses = nominal(parts.anywhere(parts.BLOCK, 9)[1])
     choice = choose_pose("auto", presses, learner, take, (PROFILE, Region(0, 0, parts.SIDE, parts.SIDE)))
