@@ -28,13 +28,13 @@ def numbers_kept(detector: Detector, nominal: Nominal, limits: dict[str, Any]) -
         ("patchcore", {"most_rows": 64, "most_patches": 4096}),
         ("inreach", {"most_rows": 64, "most_patches": 64}),
         ("spade", {"bank_mb": 2.0}),
-        ("fapm", {"bank_mb": 0.6}),
+        ("fapm", {"bank_mb": 0.3}),
     ],
 )
 def test_half_the_room_is_half_the_bank(method: str, limits: dict[str, Any]) -> None:
     """The room is a factor on the limit: a fold's bank keeps the same share of its presses as the bank does of all."""
     detector = registry.detector(method)
-    nominal = Nominal(heads.presses_of(24, taps={"layer1": GRID.taps["layer1"]}))
+    nominal = Nominal(heads.presses_of(12, taps={"layer1": GRID.taps["layer1"]}))
     whole, half = (numbers_kept(detector, replace(nominal, room=room), limits) for room in (1.0, 0.5))
     assert 0.4 < half / whole < 0.6
 
