@@ -87,12 +87,8 @@ class LearntPose:
     @property
     def unrecognised(self) -> list[int]:
         """The nominal presses that a gateway rejects, for they show too little of the part, or none."""
-        least_match, least_seen = self.part.least_match, self.part.least_seen
-        return [
-            k
-            for k, one in enumerate(self.registered)
-            if one.match < least_match or one.seen_share < least_seen
-        ]
+        part, each = self.part, enumerate(self.registered)
+        return [k for k, one in each if one.match < part.least_match or one.seen_share < part.least_seen]
 
 
 def learn_pose(frames: U8, free: U8, unjudged: Mask | None = None) -> LearntPose:
