@@ -2,6 +2,7 @@
 
 import logging
 import os
+import select
 import signal
 import threading
 from functools import partial
@@ -109,11 +110,20 @@ class Lines:
 
     def __init__(self) -> None:
         self._is_open = True
+        self._left_out = 0
 
     def put(self, line: str) -> None:
-        """Print it, or say once in the log that lines are left out."""
+        """Print it, or say once in the log that lines are left out. A reader that pauses, such as a pager, keeps no
+        press waiting, and is told how many it has missed."""
         if not self._is_open:
             return
+        if not self._is_read():
+            self._left_out += 1
+            return
+        if self._left_out:
+            missed = write_count(self._left_out, "line")
+            line = f"{missed} left out: nothing was read here; inspection went on\n{line}"
+            self._left_out = 0
         try:
             typer.echo(line)
         except OSError as error:
@@ -123,6 +133,14 @@ class Lines:
                 "press lines cannot be printed (%s) and are left out; inspection goes on",
                 error.strerror or error,
             )
+
+    @staticmethod
+    def _is_read() -> bool:
+        """Tell whether a line can be written without waiting; true also where writing fails."""
+        try:
+            return bool(select.select([], [1], [], 0)[1])
+        except (OSError, ValueError):
+            return True
 
 
 def check(

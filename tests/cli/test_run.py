@@ -1,5 +1,6 @@
 """The installed command `gelgate`, as a service manager starts and stops it."""
 
+import fcntl
 import json
 import os
 import pty
@@ -14,6 +15,7 @@ import pytest
 from breakable_station import Bench
 from station import press_recording, small_bundle, station_config, variant
 
+from edge.cli.run import Lines
 from edge.store.database import open_read_only
 
 GELGATE = Path(sys.executable).parent / "gelgate"
@@ -140,6 +142,39 @@ def pressing(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def pressed(pressing: Path, tmp_path: Path) -> Path:
     """The configuration of a station that plays it."""
     return station_config(tmp_path, pressing / "presses", pressing / "bundle")
+
+
+def test_lines_that_nobody_reads_do_not_hold_up_the_inspection(pressed: Path) -> None:
+    """As with a pager that waits: the pipe is full. The reader is told once it reads again."""
+    reading, writing = os.pipe()
+    os.write(writing, bytes(fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)))
+    command = [GELGATE, "run", "--config", pressed]
+    with subprocess.Popen(command, stdout=writing, stderr=subprocess.DEVNULL, cwd=pressed.parent) as running:
+        os.close(writing)
+        try:
+            code = running.wait(120)
+        finally:
+            running.kill()
+            os.close(reading)
+
+    assert code == 0
+    assert len(payloads(pressed.parent, "result")) == 3
+
+
+def test_the_reader_is_told_how_many_lines_were_left_out(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = Lines()
+    for is_read in (True, False, False, True, True):
+        monkeypatch.setattr(Lines, "_is_read", staticmethod(lambda is_read=is_read: is_read))
+        lines.put("press")
+
+    assert capsys.readouterr().out.splitlines() == [
+        "press",
+        "2 lines left out: nothing was read here; inspection went on",
+        "press",
+        "press",
+    ]
 
 
 def test_a_part_that_the_terminal_cannot_spell_is_inspected(pressing: Path, tmp_path: Path) -> None:
