@@ -132,7 +132,8 @@ def bench(judge: Path, recorded: Path, presses: int, idle_s: float, threads: int
     bundle, recording = Bundle.load(judge), Recording.open(recorded)
     if bundle.grid is None or bundle.graphs.trunk is None:
         raise ConfigError(f"'{judge}' is one graph; the floors need a bundle of a trunk and a head")
-    machine, before, fps = fingerprint(threads), probe(threads, REPEATS), recording.header.nominal_fps
+    machine, before = fingerprint(threads), probe(threads, REPEATS)
+    fps = 1e9 / recording.gaps_ns()[0]  # a camera may advertise more
     with LocalBroker() as broker:
 
         def configure(name: str, played: Path) -> Path:
@@ -190,7 +191,7 @@ class _Watch(PressStage):
 
     def look(self, look: Look) -> None:
         """The contact has looked at it."""
-        if not self._judged:
+        if not self._judged and look.level is not None:
             self.ms["look"].append(_since(self._taken))
 
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:

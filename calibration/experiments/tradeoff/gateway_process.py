@@ -1,6 +1,7 @@
 """A gateway in a process of its own: what it takes of a core, of memory and of the disk, and how soon it is ready."""
 
 import json
+import math
 import os
 import re
 import statistics
@@ -150,7 +151,7 @@ def watch_gateway(config: Path, seconds: float, broker: LocalBroker, fps: float)
                     cpu_s / lasted_s,
                     float(read_peak_bytes(running.pid) or 0),
                     ready[0] - start,
-                    settings.warm_up_s + settings.baseline_frames / fps,
+                    (math.ceil(settings.warm_up_s * fps) + settings.baseline_frames - 1) / fps,
                     presses,
                     1e3 * cpu_s / presses if presses else None,
                     _read_mapped(running.pid),

@@ -7,20 +7,32 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import gelgate
-from station import HEADER, Motion, gel, jpeg, press_recording, small_bundle
+from station import FPS, HEADER, Motion, gel, jpeg, press_recording, small_bundle
 
 from calibration.experiments.tradeoff.bench import STAGES
 from calibration.experiments.tradeoff.bench_command import read_medians
 from calibration.experiments.tradeoff.gateway_process import _list_needed
-from edge.recording.format import RecordingWriter
+from edge.core.contact.press_detector import PressDetector
+from edge.model.bundle import Bundle
+from edge.recording.format import Recording, RecordingWriter
 
 
 @pytest.fixture(scope="module")
 def station(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A bundle, and a recording of three presses."""
+    """A bundle, and a recording of three presses, of a camera that sends fewer frames than it advertises."""
     folder = tmp_path_factory.mktemp("bench")
     bundle = small_bundle(folder / "pz0", press_recording(folder / "nominal", 12, seed=1))
-    return bundle, press_recording(folder / "presses", 3, seed=2)
+    presses = press_recording(folder / "presses", 3, seed=2)
+    header = presses / "recording.toml"
+    header.write_text(header.read_text().replace(f"nominal_fps = {FPS}", "nominal_fps = 25.0"))
+    return bundle, presses
+
+
+def count_looks(bundle: Path, recorded: Path) -> int:
+    """The frames of a recording that the contact detector decodes."""
+    judge = Bundle.load(bundle)
+    detector = PressDetector(judge.profile, witness=judge.free_reference)
+    return sum(detector.feed(one.frame).level is not None for one in Recording.open(recorded))
 
 
 def test_every_stage_of_every_press_has_its_time(station: tuple[Path, Path], tmp_path: Path) -> None:
@@ -33,6 +45,7 @@ def test_every_stage_of_every_press_has_its_time(station: tuple[Path, Path], tmp
     assert set(stages) == set(STAGES)
     path = ("verdict", "outbox", "acknowledged", "subscriber", "picture")
     assert [stages[name]["count"] for name in path] == [3] * 5
+    assert 0 < stages["look"]["count"] <= count_looks(*station)
     order = [stages[name]["median"] for name in path if name != "subscriber"]
     assert order == sorted(order)
     assert min(found["floors"].values()) > 0
@@ -40,7 +53,9 @@ def test_every_stage_of_every_press_has_its_time(station: tuple[Path, Path], tmp
     assert found["idle"]["presses"] == 0
     assert found["pressing"]["presses"] > 0
     assert found["pressing"]["press_cpu_ms"] > 0
-    assert found["pressing"]["start_s"] > found["pressing"]["warm_up_s"] > 0.5
+    assert found["frame"]["fps"] == pytest.approx(FPS)
+    # The first of ten frames comes at the first multiple of 1/18.75 s that is half a second.
+    assert found["pressing"]["start_s"] > found["pressing"]["warm_up_s"] == pytest.approx(19 / FPS)
     assert 0 < found["bare"]["memory_bytes"] < found["pressing"]["memory_bytes"]
     assert 0 < found["bare"]["imports_s"] < found["pressing"]["start_s"]
     cv2 = found["packages"]["opencv-contrib-python-headless"]
