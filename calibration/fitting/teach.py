@@ -303,14 +303,17 @@ def _weigh(lesson: Lesson, usual: F32) -> F32:
 
 
 def _see(scorer: Scorer, presses: NominalPresses, old: Bundle) -> tuple[F64, F32]:
-    """Score presses in units of the scorer's limit; a press without a score is infinite and its map empty. Maps are in
-    the pose of the old bundle's bank."""
+    """Score presses in units of the scorer's limit, without the places that a station did not judge; a press without a
+    score is infinite and its map empty. Maps are in the pose of the old bundle's bank."""
     limit = scorer.bundle.manifest.threshold.value
     registrar = None if old.registration is None else old.registration.open()
     scores, maps = list[float](), list[F32]()
-    for rgb in presses.frames:
+    for k, rgb in enumerate(presses.frames):
         try:
             scored = scorer.score(rgb)
+            if presses.unjudged is not None and presses.unjudged[k].any():
+                shown = np.where(presses.unjudged[k], scored.score_map.min(), scored.score_map)
+                scored = replace(scored, score_map=shown, anomaly_score=float(shown.max()))
             found = None if registrar is None else registrar.register(old.prepare(rgb))
             if found is not None and found.refusal is not None:
                 raise PoseNotFound(found.refusal)

@@ -242,6 +242,18 @@ def test_a_press_that_has_no_score_is_no_trial(lesson: Lesson, monkeypatch: pyte
     assert place.rate == pytest.approx(1 / 19)
 
 
+def test_a_scar_of_a_sound_press_costs_nothing_where_it_was_not_judged(lesson: Lesson) -> None:
+    frames, places = lesson.nominal.frames.copy(), np.zeros(lesson.nominal.frames.shape[:3], np.bool_)
+    frames[3, 60:68, 60:68], places[3, 48:80, 48:80] = 255, True
+    shown = []
+    for unjudged in (None, places):
+        scarred = dataclasses.replace(lesson.nominal, frames=frames, unjudged=unjudged)
+        held_out = hold_out(lesson.old, scarred, lesson.config, "")
+        assert held_out is not None
+        shown.append(held_out[1][3, 48:80, 48:80].max())
+    assert shown[1] < 0.1 < 0.5 < shown[0]
+
+
 @pytest.mark.parametrize(
     ("pieces", "folds"),
     [
