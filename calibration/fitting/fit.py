@@ -326,7 +326,7 @@ def _measure(learnt: _Learnt, created: str, watch: StageTimes) -> Fitted:
     fitted = _pack(learnt, facts.model_copy(update=measured), golden)
     Scorer(fitted.bundle(trunks), threads, trunks).check_golden()
     watch.report("golden", 1.0)
-    return fitted
+    return replace(fitted, apart=tuple(plan.presses.names[k] for k in self_check.list_apart(learnt.scores)))
 
 
 def _pack(learnt: _Learnt, facts: Facts, golden: Sequence[GoldenFrame]) -> Fitted:

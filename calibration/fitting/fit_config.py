@@ -109,6 +109,8 @@ class Fitted:
 
     manifest: Manifest
     files: dict[str, bytes]
+    apart: tuple[str, ...] = ()
+    """The presses that stand apart from all others, by their names."""
 
     def bundle(self, loaded: Container[str] = ()) -> Bundle:
         """Load it through the same checks as from disk. loaded: see `Bundle.load`."""

@@ -100,11 +100,21 @@ def learn(given: LearnArguments) -> None:
     learnt = [k for k, name in enumerate(presses.names) if name.startswith(f"{pictures.name}/")]
     typer.echo(f"{write_count(len(presses), 'nominal press')}, {len(learnt)} of them from the station")
 
+    # Of a gel on which the bundle is not proven the first presses all stand apart, and have to be learnt.
+    doubtful = [k for k in learnt if Path(presses.names[k]).stem not in confirmed.on_new_gel]
+
     def fit_and_check(created: str, report: Report) -> Fitted:
-        fitted = fit_files(presses, config, created=created, report=report)
-        fitted = draw_again(old, fitted, presses, config, created)
+        fitted, kept = fit_files(presses, config, created=created, report=report), presses
+        apart = [k for k in doubtful if presses.names[k] in fitted.apart]
+        if apart and _finds_fewer(old.manifest.facts, fitted.manifest.facts):
+            others = presses.choose([k for k in range(len(presses)) if k not in apart])
+            without = fit_files(others, config, created=created, report=report)
+            if _finds_fewer(without.manifest.facts, fitted.manifest.facts):
+                fitted, kept = without, others
+                _leave_out_apart([Path(presses.names[k]).stem for k in apart], database)
+        fitted = draw_again(old, fitted, kept, config, created)
         comparison = _compare(old, fitted, confirmed, database, given.threads)
-        if (taught := _teach_lost(fitted, comparison, presses, config, created)) is not None:
+        if (taught := _teach_lost(fitted, comparison, kept, config, created)) is not None:
             fitted, comparison = taught, _compare(old, taught, confirmed, database, given.threads)
         _warn_of_fewer_found(old.manifest.facts, fitted.manifest.facts)
         try:
@@ -175,14 +185,29 @@ def _name_alike(old: Bundle, comparison: Comparison, good: NominalPresses, threa
 
 def _ask_again(error: FitError, comparison: Comparison, database: Path) -> FitError:
     """Have the station ask once more about the presses that stand against the new bundle; return the error that says
-    so. A copy of a station's database is asked too, where it can be written."""
-    blocking = [one.press.press_id for one in (*comparison.lost, *comparison.new_alarms)]
+    so."""
+    said = _ask_about([one.press.press_id for one in (*comparison.lost, *comparison.new_alarms)], database)
+    return FitError(f"{error}; {said}") if said else error
+
+
+def _leave_out_apart(press_ids: Sequence[str], database: Path) -> None:
+    """Say that good presses are not learnt, and have the station ask about each once more."""
+    said = (
+        f"warning: left out: {', '.join(press_ids)}: called good, but far from all others, and with it the new bundle "
+        "finds less of the damage that a fit renders; if such parts are good, give a picture of one among the nominal "
+        "presses"
+    )
+    typer.echo("; ".join(filter(None, [said, _ask_about(press_ids, database)])), err=True)
+
+
+def _ask_about(press_ids: Sequence[str], database: Path) -> str:
+    """Have the station ask about presses once more, and return what to say of it. A copy of a station's database is
+    asked too, where it can be written."""
     try:
         with Store(database) as store:
-            said = ask_again(store, blocking, "gelgate bundle learn", time.time_ns())
+            return ask_again(store, press_ids, "gelgate bundle learn", time.time_ns())
     except StoreError as fault:
-        said = f"the station cannot be told to ask about them again: {fault}"
-    return FitError(f"{error}; {said}") if said else error
+        return f"the station cannot be told to ask about them again: {fault}"
 
 
 def _read_words(database: Path, part: PartPosition, old: Bundle) -> ConfirmedPresses:
@@ -211,10 +236,16 @@ def warn_of_lost(old: Bundle) -> None:
         )
 
 
+def _finds_fewer(old: Mapping[str, Any], new: Mapping[str, Any]) -> bool:
+    """Tell whether a bundle finds clearly less of the damage that a fit renders. old, new: facts of manifests."""
+    before, now = share_found(old), share_found(new)
+    return before is not None and now is not None and now < _FEWER * before
+
+
 def _warn_of_fewer_found(old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
     """Warn where the new bundle finds less of the damage that a fit renders. old, new: the facts of their manifests."""
     before, now = share_found(old), share_found(new)
-    if before is not None and now is not None and now < _FEWER * before:
+    if before is not None and now is not None and _finds_fewer(old, new):
         typer.echo(
             f"warning: of the small damage that a fit renders the new bundle finds {now:.0%}, the old one "
             f"{before:.0%}: the learnt presses raise its limit; press damaged parts before it takes over, and teach "

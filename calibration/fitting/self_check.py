@@ -24,6 +24,7 @@ __all__ = [
     "black_warnings",
     "damage_facts",
     "find_remedies",
+    "list_apart",
     "may_compare",
     "room_warnings",
     "scatter_warnings",
@@ -183,11 +184,16 @@ def standing_apart(scores: F64) -> list[int]:
     return []
 
 
+def list_apart(scores: F64 | None) -> list[int]:
+    """List the outliers as `standing_apart` does; none where too few presses have scores."""
+    return [] if scores is None or len(scores) < MIN_PRESSES else standing_apart(scores)
+
+
 def apart_warnings(scores: F64 | None, names: Sequence[str]) -> list[str]:
-    """Write a sentence for each outlier; none where too few presses have scores."""
-    if scores is None or len(scores) < MIN_PRESSES:
+    """Write a sentence for each outlier."""
+    apart = list_apart(scores)
+    if scores is None or not apart:
         return []
-    apart = standing_apart(scores)
     others = np.delete(scores, apart)
     return [
         f"press '{names[k]}' stands apart from the others: {scores[k]:.4g} where they reach {others.max():.4g}; if it "

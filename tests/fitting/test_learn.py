@@ -20,6 +20,7 @@ from stepped_station import SteppedStation
 
 from calibration.fitting.fit import Fitted, fit_files
 from calibration.fitting.fit_again import configure_again
+from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.learn import (
     Comparison,
     ConfirmedPress,
@@ -139,6 +140,37 @@ def hide_places(station: Judged, press_id: str, shape: tuple[int, int]) -> Mask:
     changed = f"UPDATE presses SET evidence = x'{press.sha256().hex()}' WHERE press_id = '{press_id}'"
     execute(station.database, changed)
     return scar
+
+
+@pytest.mark.parametrize("found_without", [0.5, 0.1])
+def test_a_good_press_that_alone_hides_damage_is_left_out(
+    station: Judged, monkeypatch: pytest.MonkeyPatch, found_without: float
+) -> None:
+    """And the station asks about it once more; not where without it no more is found."""
+    far = f"confirmed/{station.ids[1]}.jpg"
+
+    def fit_and_say(presses: NominalPresses, config: FitConfig, **more: Any) -> Fitted:
+        fitted, is_learnt = fit_files(presses, config, **more), far in presses.names
+        facts = fitted.manifest.facts | found(0.1 if is_learnt else found_without)
+        manifest = fitted.manifest.model_copy(update={"facts": facts})
+        return dataclasses.replace(fitted, manifest=manifest, apart=(far,) if is_learnt else ())
+
+    def found(share: float) -> dict[str, Any]:
+        return {"limit": {"kind": "plain", "why": "", "found": {"plain": share}}}
+
+    monkeypatch.setattr("calibration.fitting.fit.fit_files", fit_and_say)
+    station.say({0: "good", 1: "good"})
+
+    done = learn(station, bundle=variant(station.old, station.folder / "old", facts=found(0.5)))
+
+    assert done.code == 0, done.err
+    is_left_out = far not in Bundle.load(station.new).manifest.provenance.presses
+    assert (
+        is_left_out
+        == (f"warning: left out: {station.ids[1]}: called good" in done.err)
+        == (found_without > 0.1)
+    )
+    assert (f"the station asks once more what {station.ids[1]} is" in done.err) == is_left_out
 
 
 def test_presses_that_get_another_verdict_are_named(station: Judged) -> None:
