@@ -158,7 +158,7 @@ def test_a_good_press_that_alone_hides_damage_is_left_out(
     def found(share: float) -> dict[str, Any]:
         return {"limit": {"kind": "plain", "why": "", "found": {"plain": share}}}
 
-    monkeypatch.setattr("calibration.fitting.fit.fit_files", fit_and_say)
+    monkeypatch.setattr("calibration.fitting.learn_command.fit_files", fit_and_say)
     station.say({0: "good", 1: "good"})
 
     done = learn(station, bundle=variant(station.old, station.folder / "old", facts=found(0.5)))
