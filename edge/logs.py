@@ -2,13 +2,17 @@
 
 import json
 import logging
+import select
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import UTC, datetime
-from typing import Final, Literal
+from typing import Final, Literal, TextIO
 
-__all__ = ["about_press", "press_event", "start"]
+from edge.core.printable import write_count
+
+__all__ = ["about_press", "is_read", "press_event", "start"]
 
 LogFormat = Literal["text", "json"]
 
@@ -33,9 +37,35 @@ def press_event(log: logging.Logger, press_id: str, sentence: str, fields: Mappi
 
 def start(log_format: LogFormat, *, is_verbose: bool) -> None:
     """Log to the standard error output from now on. is_verbose: contact events and sent messages too."""
-    handler = logging.StreamHandler()
+    handler = Lines(sys.stderr)
     handler.setFormatter(Json() if log_format == "json" else Text())
     logging.basicConfig(level=logging.DEBUG if is_verbose else logging.INFO, handlers=[handler])
+
+
+def is_read(stream: TextIO) -> bool:
+    """Tell whether a line can be written without waiting for who reads; true also where writing fails."""
+    try:
+        return bool(select.select([], [stream], [], 0)[1])
+    except (OSError, ValueError):
+        return True
+
+
+class Lines(logging.StreamHandler[TextIO]):
+    """Log lines on a stream. No press waits for them: while nobody reads, as at a terminal that is paused, they are left
+    out, and counted when they are read again."""
+
+    _left_out = 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a line, or leave it out."""
+        if not is_read(self.stream):
+            self._left_out += 1
+            return
+        if self._left_out:
+            said = "%s left out: nothing was read here; inspection went on", write_count(self._left_out, "line")
+            self._left_out = 0
+            super().emit(logging.LogRecord(__name__, logging.WARNING, __file__, 0, said[0], said[1:], None))
+        super().emit(record)
 
 
 class Text(logging.Formatter):

@@ -2,8 +2,8 @@
 
 import logging
 import os
-import select
 import signal
+import sys
 import threading
 from functools import partial
 from pathlib import Path
@@ -117,7 +117,7 @@ class Lines:
         press waiting, and is told how many it has missed."""
         if not self._is_open:
             return
-        if not self._is_read():
+        if not logs.is_read(sys.stdout):
             self._left_out += 1
             return
         if self._left_out:
@@ -133,14 +133,6 @@ class Lines:
                 "press lines cannot be printed (%s) and are left out; inspection goes on",
                 error.strerror or error,
             )
-
-    @staticmethod
-    def _is_read() -> bool:
-        """Tell whether a line can be written without waiting; true also where writing fails."""
-        try:
-            return bool(select.select([], [1], [], 0)[1])
-        except (OSError, ValueError):
-            return True
 
 
 def check(

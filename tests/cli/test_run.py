@@ -144,12 +144,14 @@ def pressed(pressing: Path, tmp_path: Path) -> Path:
     return station_config(tmp_path, pressing / "presses", pressing / "bundle")
 
 
-def test_lines_that_nobody_reads_do_not_hold_up_the_inspection(pressed: Path) -> None:
-    """As with a pager that waits: the pipe is full. The reader is told once it reads again."""
+@pytest.mark.parametrize("unread", ["stdout", "stderr"])
+def test_lines_that_nobody_reads_do_not_hold_up_the_inspection(pressed: Path, unread: str) -> None:
+    """As with a pager that waits, or a journal that hangs: the pipe is full. The reader is told once it reads again."""
     reading, writing = os.pipe()
     os.write(writing, bytes(fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)))
-    command = [GELGATE, "run", "--config", pressed]
-    with subprocess.Popen(command, stdout=writing, stderr=subprocess.DEVNULL, cwd=pressed.parent) as running:
+    command = [GELGATE, "run", "--verbose", "--config", pressed]
+    streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, unread: writing}
+    with subprocess.Popen(command, **streams, cwd=pressed.parent) as running:
         os.close(writing)
         try:
             code = running.wait(120)
@@ -166,7 +168,7 @@ def test_the_reader_is_told_how_many_lines_were_left_out(
 ) -> None:
     lines = Lines()
     for is_read in (True, False, False, True, True):
-        monkeypatch.setattr(Lines, "_is_read", staticmethod(lambda is_read=is_read: is_read))
+        monkeypatch.setattr("edge.logs.is_read", lambda _, is_read=is_read: is_read)
         lines.put("press")
 
     assert capsys.readouterr().out.splitlines() == [

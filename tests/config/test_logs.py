@@ -1,5 +1,6 @@
 """Log lines as text and as JSON, with the press that they are about."""
 
+import io
 import json
 import logging
 import re
@@ -8,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from edge.logs import Json, Text, about_press, press_event
+from edge.logs import Json, Lines, Text, about_press, press_event
 
 T0 = 1_780_000_000.25
 
@@ -78,3 +79,19 @@ def test_a_press_is_an_event(caplog: pytest.LogCaptureFixture) -> None:
 
     line = json.loads(caplog.text)
     assert (line["press_id"], line["event"], line["verdict"]) == ("01ABC", "press", "pass")
+
+
+def test_lines_that_nobody_reads_are_left_out_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = io.StringIO()
+    handler = Lines(written)
+    handler.setFormatter(Json())
+    for is_read in (True, False, False, True, True):
+        monkeypatch.setattr("edge.logs.is_read", lambda _, is_read=is_read: is_read)
+        handler.handle(record())
+
+    assert [json.loads(line)["message"] for line in written.getvalue().splitlines()] == [
+        "the sensor is gone",
+        "2 lines left out: nothing was read here; inspection went on",
+        "the sensor is gone",
+        "the sensor is gone",
+    ]
