@@ -51,8 +51,8 @@ def is_read(stream: TextIO) -> bool:
 
 
 class Lines(logging.StreamHandler[TextIO]):
-    """Log lines on a stream. No press waits for them: while nobody reads, as at a terminal that is paused, they are left
-    out, and counted when they are read again."""
+    """Log lines on a stream. No press waits for them: while nobody reads, as at a paused terminal, they are left out,
+    and counted when they are read again."""
 
     _left_out = 0
 
@@ -62,7 +62,10 @@ class Lines(logging.StreamHandler[TextIO]):
             self._left_out += 1
             return
         if self._left_out:
-            said = "%s left out: nothing was read here; inspection went on", write_count(self._left_out, "line")
+            said = (
+                "%s left out: nothing was read here; inspection went on",
+                write_count(self._left_out, "line"),
+            )
             self._left_out = 0
             super().emit(logging.LogRecord(__name__, logging.WARNING, __file__, 0, said[0], said[1:], None))
         super().emit(record)
