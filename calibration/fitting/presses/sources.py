@@ -126,9 +126,12 @@ def choose_position(datasets: Sequence[Dataset], part: str | None, position: str
         chosen = [pair for pair in known if part in (None, pair[0]) and position in (None, pair[1])]
         if len(chosen) != 1:
             wanted = "/".join(name or "*" for name in (part, position))
+            names = ", ".join(map("/".join, known))
+            todo = (
+                f"choose with --part and --position among {names}" if known else "add pictures of sound parts"
+            )
             raise DatasetError(
-                f"dataset '{dataset.root}' has {'several of' if chosen else 'no nominal press of'} {wanted}; choose "
-                f"with --part and --position among {', '.join(map('/'.join, known)) or 'none'}"
+                f"dataset '{dataset.root}' has {'several of' if chosen else 'no nominal press of'} {wanted}; {todo}"
             )
         part, position = chosen[0]
     assert part is not None
