@@ -26,15 +26,6 @@ _INTRO: Final = """# A month on the line
 A reference, printed by `gelgate lab month` from its rows: what goes wrong in a month of presses, day by day, at a
 station whose bundle stays as it was fitted, and at one that learns from a person who answers a few questions a day.
 """
-_ESCAPES: Final = """## Where escapes come from
-
-In shortened months of development parts 0, 1 and 4 (24, 9 and 10 days of 80 pieces, 5 % of them damaged) 21 pieces that
-are not sound escaped the learning station. The bundle of the first day passes 19 of them too, on the same frames: 16 by
-their first press, at 0.85 to 0.97 of its limit, where the median of sound presses lies at 0.88, and three by a second
-press. Where it stops more, it stops sound pieces as well: on part 1 its limit lies below 58 to 98 % of their first
-presses. With 0.95 of the limits 9 instead of 16 of the 141 pieces that are not sound of parts 0 and 4 would pass by
-their first press, and 12 and 19 % of the sound ones instead of 5 % would be pressed again.
-"""
 _WORLD: Final = """## What happens
 
 Each part is random, fitted with 24 pieces (8 of them pressed twice) of one batch on a new gel. All sizes are assumed:
@@ -85,7 +76,6 @@ def page(rows: Sequence[Row], link: str, command: str) -> str:
             *(f"- `{arm}`: {what}." for arm, what in ARMS.items()),
             "\n## What escaped, what was blamed, what was said\n",
             markdown_table(["", *ARMS], _details(rows)),
-            _ESCAPES,
             _WORLD.rstrip(),
             "",
         ]
