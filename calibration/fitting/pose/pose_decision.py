@@ -14,7 +14,8 @@ import numpy as np
 
 from calibration.fitting.damage.damaged_presses import SIZE_SHARES, DamagedPresses, render_damage
 from calibration.fitting.limits.held_out import HeldOut, Learner, ShownPresses
-from calibration.fitting.pose.registration import LearntPose, completed, keep_pose, learn_pose
+from calibration.fitting.pose.completed import completed
+from calibration.fitting.pose.registration import LearntPose, keep_pose, learn_pose
 from calibration.fitting.pose.two_parts import find_two_parts
 from calibration.fitting.presses.augmentation import FEW, Take
 from calibration.fitting.presses.nominal_presses import NominalPresses

@@ -9,28 +9,35 @@ common pose so, and the others are found by the mean of those. The colours of sl
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
 
+from calibration.fitting.pose.completed import completed
+from calibration.fitting.pose.turns import (
+    MOST_SYMMETRY,
+    SAME_TURN_RAD,
+    agree_on_turns,
+    find_symmetry,
+    same_share,
+)
 from edge.core.arrays import F32, F64, U8, Mask
 from edge.core.errors import FitError
 from edge.core.registration.coarse import CoarseSearch
 from edge.core.registration.colours import FreeLight, SlopeColours, curl_share
-from edge.core.registration.fine import Alignment
+from edge.core.registration.fine import Alignment, FineSearch
 from edge.core.registration.pose import Pose, Registered
 from edge.core.registration.registrar import (
     SIDE_PX,
     PartInPose,
     PoseSearch,
     Registrar,
-    depth_of,
-    fade,
     in_pose,
     shrunk,
 )
 
-__all__ = ["LearntPose", "completed", "in_pose_of", "keep_pose", "learn_pose"]
+__all__ = ["LearntPose", "in_pose_of", "keep_pose", "learn_pose"]
 
 _MOST_ROUNDS = 8
 # So many presses find the common pose, evenly spread over all: rounds take most of the time of a fit, and of six real
@@ -48,10 +55,6 @@ _SEED = 0
 _LEARNT_SHARE = 0.35
 # The mean press must explain this much of the presses, else there is no relief to register by.
 _LEAST_TYPICAL = 0.6
-# A turn is the same within this angle, and a part's turns are if this share of its presses keeps them.
-_SAME_TURN_RAD, _SAME_SHARE = math.radians(5), 0.9
-# A part repeats itself at most so often in a turn; more teeth than that are as good as round.
-_MOST_SYMMETRY = 12
 # It looks the same where its agreement falls by less than this: exact symmetries up to 0.011, nearly so from 0.021.
 # Of presses of which a third or a half were turned by a wrong 120 degrees (PZ2, six draws) one falls by at most 0.027.
 _ALIKE, _DOUBTED, _LOOKED_AT = 0.015, 0.03, 8
@@ -62,6 +65,8 @@ _AS_WELL = 1.5
 _NEARLY = 2.0
 # A part that agrees this well with itself at any turn may be round: real balls 0.75 and more, a gear of 12 teeth 0.41.
 _ROUND, _ROUND_TURNS = 0.7, 72
+# Presses that were turned together are refined in so many rounds.
+_REFINED = 2
 # Presses that turn by less than this all together do not turn.
 _STILL_RAD = math.radians(45)
 # A press is recognised up to this many times the mismatch of the nominal one that agrees least, for damage adds to it:
@@ -105,8 +110,12 @@ def learn_pose(frames: U8, free: U8, unjudged: Mask | None = None) -> LearntPose
             f"the others, at least {_LEAST_TYPICAL} is expected; check that all presses are of one part, and that its "
             "relief lies on the gel"
         )
-    part = _average(light, added, _find_others(every, chosen, best))
-    registered = _register(part, frames, unjudged)
+    bring = partial(_bring, light, added, frames, unjudged)
+    part, registered, is_found = bring(_find_others(every, chosen, best.together or best))
+    if best.together and is_found:
+        best = best.together
+    elif best.together:  # a gateway finds other turns, so a mean of presses at all of them is better
+        part, registered, _ = bring(_find_others(every, chosen, best))
     lowest = min(one.match for one in registered)
     part = replace(
         part,
@@ -120,6 +129,16 @@ def keep_pose(part: PartInPose, frames: U8, unjudged: Mask | None = None) -> Lea
     """Bring nominal presses, uint8 (n, h, w, 3), to a pose that was learnt before. unjudged: counts as not seen."""
     registered = _register(part, frames, unjudged)
     return LearntPose(part, registered, completed(registered))
+
+
+def _bring(
+    light: FreeLight, added: Sequence[F32], frames: U8, unjudged: Mask | None, aligned: "_Aligned"
+) -> tuple[PartInPose, tuple[Registered, ...], bool]:
+    """Average aligned presses and register each as a gateway does; tell whether that finds their turns again."""
+    part = _average(light, added, aligned)
+    registered = _register(part, frames, unjudged)
+    found = np.array([one.pose.turn_rad for one in registered])
+    return part, registered, same_share(found - aligned.turns) == 1
 
 
 def _register(part: PartInPose, frames: U8, unjudged: Mask | None) -> tuple[Registered, ...]:
@@ -152,6 +171,8 @@ class _Aligned:
     """Whether presses of a part that repeats itself have one turn among those that look the same."""
     doubts: frozenset[int] = frozenset()
     """How often the part nearly looks the same in a full turn, as `symmetry`: presses may lie turned by so much."""
+    together: "_Aligned | None" = None
+    """The same presses turned together."""
 
     @property
     def turns(self) -> F64:
@@ -176,9 +197,9 @@ class _Alignment:
 
     def settle(self, most_rounds: int = _MOST_ROUNDS) -> _Aligned:
         """Align until the turns settle, in so many rounds at most, those before included."""
-        while self._rounds < most_rounds and not (self._rounds and _same_share(self._turned) == 1):
+        while self._rounds < most_rounds and not (self._rounds and same_share(self._turned) == 1):
             self._align()
-        symmetry = _symmetry(self._turned) if self._is_turning else 0
+        symmetry = find_symmetry(self._turned) if self._is_turning else 0
         typical = float(np.median([one.match for one in self._found]))
         return _Aligned(self._poses(), typical, symmetry, self._colours)
 
@@ -235,7 +256,24 @@ def _align(small: Sequence[F32]) -> _Aligned:
         if _is_round(small, tried):
             return _Alignment(small, first, best.colours, is_turning=False).settle()
     best = _agree([best, *(_Alignment(small, one, best.colours).settle() for one in others)])
-    return _look_alike(small, best)
+    return _agree_on_turns(small, _look_alike(small, best))
+
+
+def _agree_on_turns(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
+    """Find turns that all presses share where the part seems to look the same at several turns, or nearly so."""
+    count = _doubt(aligned) if aligned.symmetry == 1 else aligned.symmetry
+    if count < 2 or aligned.is_held:
+        return aligned
+    mean = _mean_slopes(small, aligned)
+    (step,) = PoseSearch(mean).find_at(mean, [2 * math.pi / count])
+    slopes = [aligned.colours.slopes(one) for one in small]
+    turned = agree_on_turns(slopes, aligned.poses, step.pose, count)
+    if turned is None:
+        return aligned
+    alike = replace(aligned, poses=turned, symmetry=1, doubts=aligned.doubts | {count})
+    near = FineSearch(_mean_slopes(small, alike))
+    poses = [near.align(one, pose, _REFINED).pose for one, pose in zip(slopes, turned, strict=True)]
+    return replace(aligned, together=replace(alike, poses=poses))
 
 
 def _hear(tried: Sequence[_Aligned]) -> list[_Aligned]:
@@ -250,11 +288,11 @@ def _agree(tried: Sequence[_Aligned]) -> _Aligned:
     Where trials differ, the turns are in doubt, and the one whose presses agree best is taken.
     """
     pairs = [(one, one.turns - other.turns) for one in tried for other in tried if other is not one]
-    best, turned = max(pairs, key=lambda pair: (_same_share(pair[1]), pair[0].typical))
-    steps = {_symmetry(turns) for _, turns in pairs}
+    best, turned = max(pairs, key=lambda pair: (same_share(pair[1]), pair[0].typical))
+    steps = {find_symmetry(turns) for _, turns in pairs}
     if steps != {1}:
         best = max(tried, key=lambda one: one.typical)
-    return replace(best, symmetry=_symmetry(turned), doubts=frozenset(steps))
+    return replace(best, symmetry=find_symmetry(turned), doubts=frozenset(steps))
 
 
 def _is_round(small: Sequence[F32], tried: Sequence[_Aligned]) -> bool:
@@ -287,7 +325,7 @@ def _look_alike(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
     every = [aligned.colours.slopes(one) for one in small]
     slopes = every[:_LOOKED_AT]
     found = [search.find(one) for one in slopes]
-    parts = range(_MOST_SYMMETRY, 1, -1)
+    parts = range(MOST_SYMMETRY, 1, -1)
 
     def loses(press: F32, one: Alignment) -> list[float]:
         """Compute how much less a press agrees that is turned by each of these parts of a turn."""
@@ -296,8 +334,7 @@ def _look_alike(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
         # Of many teeth the next one is found within the same turn, so the count tells them apart.
         return [
             one.match - each.match
-            if abs(by - 2 * math.pi / n) < _SAME_TURN_RAD
-            and min(round(2 * math.pi / by), _MOST_SYMMETRY) == n
+            if abs(by - 2 * math.pi / n) < SAME_TURN_RAD and min(round(2 * math.pi / by), MOST_SYMMETRY) == n
             else 1.0
             for n, by, each in zip(parts, turned, again, strict=True)
         ]
@@ -320,18 +357,6 @@ def _doubt(aligned: _Aligned) -> int:
     symmetry = aligned.symmetry
     doubts = (n for n in aligned.doubts if symmetry and n != 1 and n != symmetry and n % symmetry == 0)
     return min(doubts, default=1)
-
-
-def _symmetry(turned: F64) -> int:
-    """Find how often a part repeats itself in a full turn, from turns that differ by chance; 0 if they are any."""
-    return next((n for n in range(1, _MOST_SYMMETRY + 1) if _same_share(turned, n) >= _SAME_SHARE), 0)
-
-
-def _same_share(turned: F64, symmetry: int = 1) -> float:
-    """Compute the share of presses that are turned by the same angle, but for steps of the symmetry."""
-    step = 2 * math.pi / symmetry
-    apart = np.abs(np.remainder(turned[:, None] - turned + step / 2, step) - step / 2)
-    return float((apart < _SAME_TURN_RAD).mean(axis=1).max())
 
 
 def _average(light: FreeLight, added: Sequence[F32], aligned: _Aligned) -> PartInPose:
@@ -368,33 +393,3 @@ def in_pose_of(part: PartInPose, frames: U8) -> U8:
     """Nominal presses as `LearntPose.frames` holds them, uint8 (n, h, w, 3)."""
     registrar = Registrar(part)
     return completed([registrar.register(rgb) for rgb in frames])
-
-
-def completed(registered: Sequence[Registered]) -> U8:
-    """The presses, uint8 (n, h, w, 3), each with its unseen places from the others in a random order.
-
-    Neighbours are often presses of one piece, which differ less than presses do.
-    """
-    frames, rng = [], np.random.default_rng(_SEED)
-    for one in registered:
-        rgb, seen = one.rgb.astype(np.float32), one.seen.copy()
-        for other in (registered[k] for k in rng.permutation(len(registered))):
-            if seen.all():
-                break
-            _fill(rgb, seen, other)
-        frames.append(np.rint(rgb).astype(np.uint8))
-    return np.stack(frames)
-
-
-def _fill(rgb: F32, seen: Mask, other: Registered) -> None:
-    """Show another press at its places that are not seen yet, fading in from their rim."""
-    more = other.seen & ~seen
-    x, y, width, height = cv2.boundingRect(more.view(np.uint8))
-    if not width:
-        return
-    box = slice(y, y + height), slice(x, x + width)
-    weight = fade(depth_of(more[box]), rgb.shape)
-    change = other.rgb[box] - rgb[box]
-    rgb[box] += cv2.multiply(change, cv2.cvtColor(weight, cv2.COLOR_GRAY2RGB))
-    # A seam is filled again by the next press: the mean press there would vary less than presses do.
-    seen[box] |= weight >= 1
