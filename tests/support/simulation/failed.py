@@ -296,4 +296,37 @@ FAILED = (
         ),
         says="trigger #: press # lay at PZ#, and its pass is of PZ#",
     ),
+    # No fault of the station: a person began a piece while the trigger of a PLC that names another was on its way.
+    Failure(
+        seed=263341156,
+        presses=11,
+        chosen=Chosen(
+            brokers=2,
+            has_archive=False,
+            rates={},
+            sloth_s=0.03,
+            fps=18.75,
+            level="5",
+            trigger="automatic",
+            outbox_mb=512,
+            has_file=False,
+            has_shadow=True,
+            has_robot=False,
+            plc="modbus",
+            piece="fixed",
+            meetings=(
+                ("fill disk", "kill", "hang up"),
+                ("hang up", "lose database"),
+                ("plc", "second plc"),
+                ("silence",),
+            ),
+            forgets=True,
+        ),
+        schedule=(
+            Fault(at_s=3.550595, name="fill disk", seed=1869609070),
+            Fault(at_s=23.795348, name="lose database", seed=464735910),
+            Fault(at_s=26.681437, name="begin piece", seed=1590485514),
+        ),
+        says="press # counts for piece #, and another piece was begun before it",
+    ),
 )

@@ -64,6 +64,9 @@ def begin_piece(run: "Simulation", rng: random.Random) -> float:
     now_ns, pieces = run.world.clock.now_ns, run.world.pieces
     if not (run.world.has_pieces and run.world.has_plc):
         return 60.0
+    # The station may hear of the piece that a PLC names only after this one.
+    if any(plc.has_just_asked for plc in run.world.plcs):
+        return 0.1
     name = f"piece by hand {run.run.counted['begin piece']}"
     try:
         run.station.ask("begin_piece", piece_id=name)
