@@ -1,8 +1,8 @@
 """What a station takes: every stage of the real path from a frame to a subscriber, beside what this machine can do.
 
 A gateway of this process plays a recording at its own pace and publishes over a broker on this machine. A stage of its
-presses notes the times, and runs the bare trunk between them, so that a busy machine slows both. A gateway in a process
-of its own looks at the free gel of the recording, and another one at its presses: processor time, memory, and start.
+presses notes the times, and runs trunk and flush alone between them, so that a busy machine slows all. A gateway in a
+process of its own looks at the free gel of the recording, another one at its presses: processor time, memory, start.
 """
 
 import json
@@ -67,11 +67,12 @@ STAGES: Final[Mapping[str, str]] = {
     "subscriber": "settled frame to a subscriber of the broker",
     "picture": "settled frame to its picture at the subscriber",
     "bare trunk": "the trunk alone, between the presses",
+    "bare flush": "a page of a file flushed to the disk alone, between the presses",
 }
 """The rows of the table, each with what it takes."""
 
 REST_TURNS: Final = 3
-"""The bare trunk runs so many frames after a press is recorded: then its picture has left."""
+"""Trunk and flush run alone so many frames after a press is recorded: then its picture has left."""
 
 WAIT_S: Final = 20.0
 REPEATS: Final = 30
@@ -144,8 +145,11 @@ def bench(judge: Path, recorded: Path, presses: int, idle_s: float, threads: int
             return path
 
         free = _copy_free_frames(recording, folder / "free")
-        run_trunk = _open_trunk(bundle, threads)
-        stages = _play(load_config(configure("station", recorded)), run_trunk, presses, broker)
+        alone: dict[str, Callable[[], object]] = {
+            "bare trunk": _open_trunk(bundle, threads),
+            "bare flush": partial(_flush, folder),
+        }
+        stages = _play(load_config(configure("station", recorded)), alone, presses, broker)
         idle = watch_gateway(configure("idle", free), idle_s, broker, fps)
         pressing = watch_gateway(configure("pressing", recorded), idle_s, broker, fps)
     peak = best(before, probe(threads, REPEATS))
@@ -177,9 +181,9 @@ def bench(judge: Path, recorded: Path, presses: int, idle_s: float, threads: int
 class _Watch(PressStage):
     """Notes when a press passes. `acknowledged` and `arrived` may be called by another thread."""
 
-    def __init__(self, run_trunk: Callable[[], object]) -> None:
+    def __init__(self, alone: Mapping[str, Callable[[], object]]) -> None:
         self.ms: defaultdict[str, list[float]] = defaultdict(list)
-        self._run_trunk = run_trunk
+        self._alone = alone
         self._taken = self._judged = self._began = 0.0
         self._taken_of: dict[str, float] = {}
         self._turns = 0
@@ -212,12 +216,13 @@ class _Watch(PressStage):
             self._turns = REST_TURNS
 
     def turn(self, mounted: Mounted | None) -> None:
-        """Run the trunk alone, once after each press."""
+        """Run trunk and flush alone, once after each press."""
         self._turns -= 1
         if self._turns == 0:
-            start = time.perf_counter()
-            self._run_trunk()
-            self.ms["bare trunk"].append(_since(start))
+            for name, run in self._alone.items():
+                start = time.perf_counter()
+                run()
+                self.ms[name].append(_since(start))
 
     def acknowledged(self, line: logging.LogRecord) -> bool:
         """The broker has taken a message of the station, as the log of its sink says. Returns whether to write it."""
@@ -277,9 +282,9 @@ def _open_trunk(bundle: Bundle, threads: int) -> Callable[[], object]:
 
 
 def _play(
-    config: Config, run_trunk: Callable[[], object], presses: int, broker: LocalBroker
+    config: Config, alone: Mapping[str, Callable[[], object]], presses: int, broker: LocalBroker
 ) -> dict[str, list[float]]:
-    watch = _Watch(run_trunk)
+    watch = _Watch(alone)
     with (
         listen(broker, watch.arrived),
         _hear(SinkWorker.__module__, watch.acknowledged),
@@ -319,17 +324,12 @@ def _floors(bundle: Bundle, peak: Peak, payloads: Sequence[bytes], folder: Path)
         "head": floor_ms(head, peak)[0],
     }
     floors["verdict"] = sum(floors[name] for name in ("decode", "trunk", "head"))
-    floors["transaction"] = _flush_ms(folder)
+    floors["transaction"] = floors["bare flush"] = 1e3 * fastest(partial(_flush, folder), REPEATS)
     return {**floors, "outbox": floors["verdict"] + floors["transaction"], "bare trunk": floors["trunk"]}
 
 
-def _flush_ms(folder: Path) -> float:
-    """The fastest flush of a page that is appended to a file of the folder."""
-    with (folder / "flush").open("wb") as file:
-
-        def flush() -> None:
-            file.write(bytes(4096))
-            file.flush()
-            os.fdatasync(file.fileno())
-
-        return 1e3 * fastest(flush, REPEATS)
+def _flush(folder: Path) -> None:
+    """Append a page to a file of the folder, and flush it to the disk."""
+    with (folder / "flush").open("ab", buffering=0) as file:
+        file.write(bytes(4096))
+        os.fdatasync(file.fileno())

@@ -95,7 +95,8 @@ def _lines(measured: Measured, stages: Mapping[str, Mapping[str, float]]) -> Ite
     yield (
         "Floors: entropy decoding of a whole frame, the arithmetic or the bytes of trunk and head at the rates above,\n"
         "and the fastest flush of a page of this disk; a verdict and an outbox have the sum. A stage may stay below\n"
-        "its floor where it reads a part of a frame, or was done ahead. The bare trunk runs between the presses."
+        "its floor where it reads a part of a frame, or was done ahead. Bare trunk and bare flush run\n"
+        "between the presses."
     )
 
 
