@@ -90,6 +90,19 @@ def test_a_planted_fault_is_named_and_its_schedule_plays_again(
     assert pasted.play(bundles, tmp_path).faults == []
 
 
+def test_what_ends_the_program_is_a_failure_with_a_name(
+    bundles: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So it can be shrunk and pasted as any other, and the seeds after it are played."""
+
+    def end(worker: SinkWorker) -> float:
+        raise ZeroDivisionError("planted")
+
+    monkeypatch.setattr(SinkWorker, "step", end)
+    run = Simulation(7, 1, bundles, tmp_path / "run", Chosen()).play()
+    assert run.faults == ["end of test_simulation.py ended it: ZeroDivisionError('planted')"]
+
+
 def test_a_schedule_shrinks_to_what_fails_alike() -> None:
     """Of 9 faults and 12 presses a hang-up after a stop is left, and three presses; another fault is no proof."""
 

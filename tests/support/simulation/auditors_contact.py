@@ -1,8 +1,6 @@
 """What holds of the contact as a robot sees it, at a relay or at a broker (docs/contact.md, What a robot is told)."""
 
-import sqlite3
 from collections.abc import Iterator
-from contextlib import closing
 
 from simulation.alarms import is_sensor_lost
 from simulation.auditors_outputs import OPENED_S, SHOWN_S
@@ -125,9 +123,6 @@ def audit_overloads(world: World, station: Station) -> Iterator[str]:
     """Each overload is an act, but of a database that was removed."""
     hard = [press for press in world.hand.presses if press.way == "hard"]
     least = 0 if station.lost_rows else sum(not press.why for press in hard)
-    with closing(
-        sqlite3.connect(f"file:{station.disk.folder / 'gelgate.db'}?mode=ro", uri=True)
-    ) as connection:
-        acts = connection.execute("SELECT count(*) FROM acts WHERE verb = 'overload'").fetchone()[0]
+    acts = station.disk.read("SELECT count(*) FROM acts WHERE verb = 'overload'")[0][0]
     if not least <= acts <= len(hard):
         yield f"{acts} overloads are acts, and {least} to {len(hard)} presses were so hard"

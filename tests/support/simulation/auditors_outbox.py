@@ -1,10 +1,8 @@
 """What holds of what grows: unsent messages, the file sink, the archive, memory (docs/operations.md)."""
 
 import json
-import sqlite3
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import closing
 
 from simulation.chosen import is_small
 from simulation.lives import Station
@@ -31,18 +29,14 @@ REPORTED_S = 12.0
 def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
     """A full outbox keeps to its room, drops pictures first, passes next and fails last, and says so."""
     room_mb = station.config.store.outbox_mb
-    if not is_small(room_mb) or station.is_disk_disturbed:
-        station.so_since("a drop is not said", False)
+    if not is_small(room_mb):
         return
-    path = station.disk.folder / "gelgate.db"
-    with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
-        rows = connection.execute(
-            "SELECT row_id, topic, content_type, payload FROM outbox WHERE retain = 0"
-        ).fetchall()
-        size = sum(len(payload) for *_, payload in rows)
+    rows = station.disk.read("SELECT row_id, topic, content_type, payload FROM outbox WHERE retain = 0")
+    size = sum(len(payload) for *_, payload in rows)
     before = station.waiting
     station.waiting = {row_id: _describe(*row) for row_id, *row in rows}
-    dropped = station.loop.parts.publisher.outbox_status().dropped
+    with station.disk.sparing():
+        dropped = station.loop.parts.publisher.outbox_status().dropped
     station.is_drop_open |= sum(dropped.values()) > sum(station.dropped.values())
     station.dropped = dropped
     if size > room_mb * 1e6:

@@ -1,9 +1,7 @@
 """What holds of pieces of several places (docs/operations.md): one verdict each, and no pass with a place missing."""
 
 import json
-import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
 
 from simulation.auditors_outputs import OPENED_S, SHOWN_S
 from simulation.lives import Station
@@ -31,13 +29,11 @@ def audit_pieces(world: World, station: Station) -> Iterator[str]:
     """What holds at the end: in the database, at each subscriber, and of each press."""
     if not world.has_pieces:
         return
-    path = station.disk.folder / "gelgate.db"
-    with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
-        pieces = connection.execute("SELECT piece_id, verdict FROM pieces ORDER BY number").fetchall()
-        rows = connection.execute(
-            "SELECT piece_id, part || '/' || position, verdict, press_id FROM presses WHERE piece_id IS NOT NULL "
-            "ORDER BY number"
-        ).fetchall()
+    pieces = station.disk.read("SELECT piece_id, verdict FROM pieces ORDER BY number")
+    rows = station.disk.read(
+        "SELECT piece_id, part || '/' || position, verdict, press_id FROM presses WHERE piece_id IS NOT NULL "
+        "ORDER BY number"
+    )
     made: dict[str, dict[str, list[str]]] = {piece: {} for piece, _ in pieces}
     order: dict[str, list[str]] = {}
     for piece, place, verdict, _ in rows:

@@ -1,9 +1,7 @@
 """What a subscriber that comes later would see, and what waits for it (docs/mqtt.md): nothing false, nor much."""
 
 import json
-import sqlite3
 from collections.abc import Iterator
-from contextlib import closing
 
 from simulation.lives import Station
 from simulation.sensor import OTHER_SERIAL, S
@@ -16,15 +14,14 @@ LATE_S = 3
 def audit_retained(world: World, station: Station) -> Iterator[str]:
     """What each broker retains in the end is so: the newest press, the gel with its count, the part, the alarms."""
     raised = station.loop.parts.status.view().alarms
-    with closing(_open(station)) as connection:
-        newest = connection.execute("SELECT press_id FROM presses ORDER BY number DESC LIMIT 1").fetchone()
-        gels = dict(connection.execute("SELECT gel_id, presses FROM gels"))
+    newest = station.disk.read("SELECT press_id FROM presses ORDER BY number DESC LIMIT 1")
+    gels = dict(station.disk.read("SELECT gel_id, presses FROM gels"))
     session = station.loop.session
     for broker in world.brokers.values():
         kept = {topic: _read(payload) for topic, payload in broker.retained.items()}
         last = kept.get("last/press")
-        if newest and last is not None and last["press_id"] != newest[0]:  # a broker may forget it
-            yield f"{broker.name} retains the press {last['press_id']} as the last, and it is {newest[0]}"
+        if newest and last is not None and last["press_id"] != newest[0][0]:  # a broker may forget it
+            yield f"{broker.name} retains the press {last['press_id']} as the last, and it is {newest[0][0]}"
         gel = kept.get("gel")
         if (
             session
@@ -62,23 +59,16 @@ def audit_late(world: World, station: Station) -> Iterator[str]:
 
 def audit_outbox(station: Station) -> Iterator[str]:
     """Of the topics without history only the newest waits: the outbox does not grow with the presses."""
-    with closing(_open(station)) as connection:
-        query = "SELECT topic, count(*) FROM outbox WHERE retain = 1 GROUP BY topic HAVING count(*) > 2"
-        for topic, rows in connection.execute(query):
-            yield f"{rows} messages of the retained topic {topic} wait"
+    query = "SELECT topic, count(*) FROM outbox WHERE retain = 1 GROUP BY topic HAVING count(*) > 2"
+    for topic, rows in station.disk.read(query):
+        yield f"{rows} messages of the retained topic {topic} wait"
 
 
 def audit_serials(station: Station) -> Iterator[str]:
     """Wear is counted for each sensor's own gel: another one during a run is refused (docs/operations.md)."""
-    with closing(_open(station)) as connection:
-        for table in ("gels", "presses"):
-            query = f"SELECT count(*) FROM {table} WHERE serial = ?"
-            if connection.execute(query, (OTHER_SERIAL,)).fetchone()[0]:
-                yield f"another sensor than the station's own has {table}"
-
-
-def _open(station: Station) -> sqlite3.Connection:
-    return sqlite3.connect(f"file:{station.disk.folder / 'gelgate.db'}?mode=ro", uri=True)
+    for table in ("gels", "presses"):
+        if station.disk.read(f"SELECT 1 FROM {table} WHERE serial = ? LIMIT 1", OTHER_SERIAL):
+            yield f"another sensor than the station's own has {table}"
 
 
 def _read(payload: bytes) -> dict[str, object]:

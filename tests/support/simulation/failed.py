@@ -329,4 +329,12 @@ FAILED = (
         ),
         says="press # counts for piece #, and another piece was begun before it",
     ),
+    # No fault of the station: an auditor read the acts of a sensor that was unplugged while reads of the disk failed.
+    Failure(
+        seed=1,
+        presses=3,
+        chosen=Chosen(has_archive=False),
+        schedule=(Fault(at_s=4.0, name="unplug", seed=5), Fault(at_s=6.0, name="bad disk", seed=89)),
+        says="_count_unseen of auditors.py ended it: OperationalError#",
+    ),
 )

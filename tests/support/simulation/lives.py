@@ -6,12 +6,11 @@ thrown away.
 
 import json
 import shutil
-import sqlite3
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -233,12 +232,10 @@ class Station:
 
     def rows(self) -> list[Row]:
         """Id, verdict, part and gel of each row that there ever was, in order."""
-        path = self.disk.folder / "gelgate.db"
-        with self.disk.sparing(), closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
-            # There is no table where the power was cut and nothing of the file was synced.
-            is_there = connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'presses'").fetchone()
-            query = "SELECT press_id, verdict, part, gel_id FROM presses WHERE serial = ? ORDER BY number"
-            return [*self.lost_rows, *(connection.execute(query, (SERIAL,)) if is_there else ())]
+        # There is no table where the power was cut and nothing of the file was synced.
+        is_there = self.disk.read("SELECT 1 FROM sqlite_master WHERE name = 'presses'")
+        query = "SELECT press_id, verdict, part, gel_id FROM presses WHERE serial = ? ORDER BY number"
+        return [*self.lost_rows, *(self.disk.read(query, SERIAL) if is_there else ())]
 
     def bury(self) -> None:
         """The process is dead: its folder is as it was at that point."""

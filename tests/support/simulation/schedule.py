@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
 from pathlib import Path
+from traceback import extract_tb, format_exception
 
 from edge.config import Config, load_config
 from edge.core.errors import StoreError
@@ -123,19 +124,27 @@ class Simulation:
         disk = listening(self._disk) if self._needs_disk else nullcontext()
         with _drawn_from(self.rng), connecting(self.world.connections), disk as self.station.disk.unsynced:
             try:
-                self.station.open()
-                while not self.run.faults and not self._is_over():
-                    self._turn()
-                if not self.run.faults:
-                    self.run.faults += audit_end(self.world, self.station)
-                    self.run.faults += audit_replay(self.world, self.station, self._bundles)
-                self.run.reached.update(set(reached_at_end(self.world, self.station)))
-                self.run.counted["presses"] += len(self.world.hand.presses)
-                for broker in self.world.brokers.values():
-                    self.run.counted["faults of brokers"] += broker.said.total()
-            finally:
-                self.station.close()
+                self._play()
+            except Exception as error:  # noqa: BLE001 - a program, or an auditor, that ends has failed too
+                place = extract_tb(error.__traceback__)[-1]
+                self.run.faults.append(f"{place.name} of {Path(place.filename).name} ended it: {error!r}")
+                self.run.events += format_exception(error)
         return self.run
+
+    def _play(self) -> None:
+        try:
+            self.station.open()
+            while not self.run.faults and not self._is_over():
+                self._turn()
+            if not self.run.faults:
+                self.run.faults += audit_end(self.world, self.station)
+                self.run.faults += audit_replay(self.world, self.station, self._bundles)
+            self.run.reached.update(set(reached_at_end(self.world, self.station)))
+            self.run.counted["presses"] += len(self.world.hand.presses)
+            for broker in self.world.brokers.values():
+                self.run.counted["faults of brokers"] += broker.said.total()
+        finally:
+            self.station.close()
 
     def freeze(self, seconds: float) -> None:
         """Let no thread of the station take a turn for so long."""
@@ -161,9 +170,7 @@ class Simulation:
     def _turn(self) -> None:
         """Let one of the actors that are due take its turn; where none is, time goes on to the next."""
         clock, camera = self.world.clock, self._threads.camera
-        first = min([actor.due_ns for actor in self._actors])
-        clock.now_ns = max(clock.now_ns, first)
-        now_ns = clock.now_ns
+        now_ns = clock.now_ns = max(clock.now_ns, min([actor.due_ns for actor in self._actors]))
         if camera.due_ns <= now_ns:
             actor = camera
             self.run.faults += audit_now(self.world, self.station)
