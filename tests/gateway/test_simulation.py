@@ -1,6 +1,5 @@
 """The station in a simulated world, a few seeds of it: docs/simulation.md; `make sim` goes on with new ones."""
 
-import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,6 +16,7 @@ from simulation.schedule import Simulation
 from simulation.shrinking import Failure, kind_of, shrink
 from simulation.surroundings import install_plugins
 
+from edge.gateway.commands import Commands
 from edge.messaging.sink_worker import SinkWorker
 
 
@@ -24,14 +24,6 @@ from edge.messaging.sink_worker import SinkWorker
 def plugins(tmp_path: Path) -> Iterator[None]:
     with contextmanager(install_plugins)(tmp_path / "packages"):
         yield
-
-
-@pytest.fixture(autouse=True)
-def unheard() -> Iterator[None]:
-    """pytest keeps what is logged, and with an error the frames of the camera: memory would not be the station's."""
-    logging.disable()
-    yield
-    logging.disable(logging.NOTSET)
 
 
 @pytest.fixture(scope="module")
@@ -90,17 +82,24 @@ def test_a_planted_fault_is_named_and_its_schedule_plays_again(
     assert pasted.play(bundles, tmp_path).faults == []
 
 
-def test_what_ends_the_program_is_a_failure_with_a_name(
-    bundles: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("kind", "function", "says"),
+    [
+        (SinkWorker, "step", "end of test_simulation.py ended it: ZeroDivisionError('planted')"),
+        (Commands, "_do_once", "it logged an error that nobody foresaw: command "),
+    ],
+)
+def test_an_error_that_nobody_foresaw_is_a_failure_with_a_name(
+    kind: type, function: str, says: str, bundles: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """So it can be shrunk and pasted as any other, and the seeds after it are played."""
+    """It ends the run, or is logged where the program goes on; so it is shrunk and pasted, and other seeds follow."""
 
-    def end(worker: SinkWorker) -> float:
+    def end(*given: object) -> float:
         raise ZeroDivisionError("planted")
 
-    monkeypatch.setattr(SinkWorker, "step", end)
-    run = Simulation(7, 1, bundles, tmp_path / "run", Chosen()).play()
-    assert run.faults == ["end of test_simulation.py ended it: ZeroDivisionError('planted')"]
+    monkeypatch.setattr(kind, function, end)
+    run = Simulation(7, 3, bundles, tmp_path / "run", Chosen(rates={"request": 60.0})).play()
+    assert run.faults[0].startswith(says)
 
 
 def test_a_schedule_shrinks_to_what_fails_alike() -> None:

@@ -2,7 +2,6 @@
 
 import argparse
 import gc
-import logging
 import multiprocessing
 import shutil
 import sys
@@ -140,7 +139,6 @@ def play_all(job: int, given: argparse.Namespace, bundles: Sequence[Path], folde
 
 def _plays(job: int, given: argparse.Namespace, bundles: Sequence[Path], folder: Path) -> Iterator[Run]:
     """Play every job-th seed; a failure is printed."""
-    logging.disable(logging.CRITICAL)
     cv2.setNumThreads(1)
     gc.collect()
     gc.freeze()  # each run asks what is in memory, which is not what was there before

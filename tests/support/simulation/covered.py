@@ -1,7 +1,6 @@
 """`make sim-covered`: which lines of the rooms of the gateway run while a fault is on, or just after one."""
 
 import argparse
-import logging
 import shutil
 import sys
 import tempfile
@@ -105,7 +104,6 @@ def main() -> int:
     words.add_argument("--seconds", type=float, default=300, help="end after the run that is on then")
     words.add_argument("--presses", type=int, default=60, help="presses of a run")
     given = words.parse_args()
-    logging.disable(logging.CRITICAL)
     cv2.setNumThreads(1)
     lines, begun, seed = Lines(), time.perf_counter(), given.seed
     with tempfile.TemporaryDirectory(dir=MEMORY) as made:

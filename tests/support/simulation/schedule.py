@@ -31,7 +31,7 @@ from simulation.pieces import PIECE
 from simulation.plc import HANDSHAKE
 from simulation.power import listening
 from simulation.sensor import S
-from simulation.surroundings import World
+from simulation.surroundings import World, reading_log
 from simulation.threads import Actor, Threads
 
 CONFIG = """
@@ -122,7 +122,12 @@ class Simulation:
     def play(self) -> Run:
         """Play until all presses are made and all is calm; stops at the first thing that must not be."""
         disk = listening(self._disk) if self._needs_disk else nullcontext()
-        with _drawn_from(self.rng), connecting(self.world.connections), disk as self.station.disk.unsynced:
+        with (
+            reading_log(self.run.faults),
+            _drawn_from(self.rng),
+            connecting(self.world.connections),
+            disk as self.station.disk.unsynced,
+        ):
             try:
                 self._play()
             except Exception as error:  # noqa: BLE001 - a program, or an auditor, that ends has failed too
