@@ -76,6 +76,14 @@ def test_another_light_is_noticed() -> None:
     assert "in a colour: another light" in found.find_foreign(picture(light() * [0.9, 1, 1.1]))
 
 
+def test_an_even_light_is_no_other_light() -> None:
+    """In the middle of the gel colours hardly change from place to place, and noise is as large as that."""
+    even = 128 + (light() - 128) * [0.02, 0.3, 0.02]
+    found = estimate_free_gel([picture(even + disc(*place)) for place in ANYWHERE], MM)
+    assert found.doubt == found.find_foreign(picture(even)) == ""
+    assert "in a colour: another light" in found.find_foreign(picture(even * [0.9, 1, 1.1]))
+
+
 def test_the_dots_of_a_marker_gel_have_their_free_places() -> None:
     """Each press has sheared them; the parts lie apart."""
     plain = [cv2.resize(rgb, (320, 240)) for rgb in (picture(light()), *presses(ANYWHERE))]
