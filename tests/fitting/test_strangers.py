@@ -190,9 +190,9 @@ def test_of_presses_that_are_darker_and_brighter_no_false_level_is_said() -> Non
 
 
 def test_frames_of_one_film_are_one_piece_and_are_held_out_in_stretches(tmp_path: Path) -> None:
-    """A ball that rolls over the gel, its frames numbered without zeros; one that is left out changes nothing."""
+    """A ball that rolls back and forth, its frames numbered without zeros; one that is left out changes nothing."""
     for k in range(20):
-        x, y = (COLUMNS - 120 - 4 * k) / 40, (ROWS - 120) / 40
+        x, y = (COLUMNS - 160 - 100 * np.sin(k / 5)) / 40, (ROWS - 120) / 40
         save(tmp_path / "film" / f"{k}.png", gel(k, (80 * x * np.exp(-(x**2) - y**2))[..., None]))
     film, less = (
         read_presses([tmp_path / "film"], PROFILE, Region.full(SIZE), leave_out=names)
