@@ -2,19 +2,24 @@
 
 import json
 import logging
-import select
+import os
 import sys
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import UTC, datetime
+from queue import SimpleQueue
 from typing import Final, Literal, TextIO
 
 from edge.core.printable import write_count
 
-__all__ = ["about_press", "is_read", "press_event", "start"]
+__all__ = ["LineWriter", "about_press", "press_event", "start"]
 
 LogFormat = Literal["text", "json"]
+
+# A line that somebody reads is written within this time.
+PATIENCE_S: Final = 0.25
 
 _press_id: Final[ContextVar[str | None]] = ContextVar("press_id", default=None)
 
@@ -42,33 +47,75 @@ def start(log_format: LogFormat, *, is_verbose: bool) -> None:
     logging.basicConfig(level=logging.DEBUG if is_verbose else logging.INFO, handlers=[handler])
 
 
-def is_read(stream: TextIO) -> bool:
-    """Tell whether a line can be written without waiting for who reads; true also where writing fails."""
-    try:
-        return bool(select.select([], [stream], [], 0)[1])
-    except (OSError, ValueError):
+class LineWriter:
+    """Writes lines on a stream, each on a thread of its own: where nobody reads, as at a terminal that hangs, a write
+    does not end, also where there was room for its beginning. One thread uses it at a time."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._lines = SimpleQueue[tuple[int, bytes]]()
+        self._is_written = threading.Event()
+        self._is_written.set()
+        self._is_late = False
+        self._error: OSError | None = None
+        self._thread: threading.Thread | None = None
+
+    def put(self, line: str) -> bool:
+        """Write a line; False for one that is left out, for an earlier one is not written yet. Errors: OSError."""
+        if not self._is_written.wait(0 if self._is_late else PATIENCE_S):
+            self._is_late = True
+            return False
+        try:
+            file = self._stream.fileno()
+        except OSError:  # in memory
+            self._stream.write(line)
+            return True
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="lines", daemon=True)
+            self._thread.start()
+        self._is_written.clear()
+        self._lines.put((file, line.encode(self._stream.encoding, self._stream.errors or "backslashreplace")))
+        self._is_late = not self._is_written.wait(PATIENCE_S)
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
         return True
+
+    def _run(self) -> None:
+        """Write past the stream: its lock, held at the end of the program, would be a crash."""
+        while True:
+            file, line = self._lines.get()
+            try:
+                while line:
+                    line = line[os.write(file, line) :]
+            except OSError as error:
+                self._error = error
+            self._is_written.set()
 
 
 class Lines(logging.StreamHandler[TextIO]):
     """Log lines on a stream. No press waits for them: while nobody reads, as at a paused terminal, they are left out,
     and counted when they are read again."""
 
-    _left_out = 0
+    def __init__(self, stream: TextIO) -> None:
+        super().__init__(stream)
+        self._writer = LineWriter(stream)
+        self._left_out = 0
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a line, or leave it out."""
-        if not is_read(self.stream):
-            self._left_out += 1
-            return
-        if self._left_out:
-            said = (
-                "%s left out: nothing was read here; inspection went on",
-                write_count(self._left_out, "line"),
-            )
-            self._left_out = 0
-            super().emit(logging.LogRecord(__name__, logging.WARNING, __file__, 0, said[0], said[1:], None))
-        super().emit(record)
+        try:
+            line = self.format(record) + "\n"
+            if self._left_out:
+                said = (
+                    "%s left out: nothing was read here; inspection went on",
+                    write_count(self._left_out, "line"),
+                )
+                missed = logging.LogRecord(__name__, logging.WARNING, __file__, 0, said[0], said[1:], None)
+                line = self.format(missed) + "\n" + line
+            self._left_out = 0 if self._writer.put(line) else self._left_out + 1
+        except Exception:  # noqa: BLE001 - as every handler of logging does
+            self.handleError(record)
 
 
 class Text(logging.Formatter):

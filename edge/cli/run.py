@@ -109,6 +109,7 @@ class Lines:
     """Lines on standard output. Press does not depend on them: where they cannot be printed, they are left out."""
 
     def __init__(self) -> None:
+        self._writer = logs.LineWriter(sys.stdout)
         self._is_open = True
         self._left_out = 0
 
@@ -117,18 +118,13 @@ class Lines:
         press waiting, and is told how many it has missed."""
         if not self._is_open:
             return
-        if not logs.is_read(sys.stdout):
-            self._left_out += 1
-            return
         if self._left_out:
             missed = write_count(self._left_out, "line")
             line = f"{missed} left out: nothing was read here; inspection went on\n{line}"
-            self._left_out = 0
         try:
-            typer.echo(line)
+            self._left_out = 0 if self._writer.put(f"{line}\n") else self._left_out + 1
         except OSError as error:
             self._is_open = False
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is still buffered goes there at the end
             logging.getLogger(__name__).warning(
                 "press lines cannot be printed (%s) and are left out; inspection goes on",
                 error.strerror or error,

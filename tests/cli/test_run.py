@@ -167,8 +167,9 @@ def test_the_reader_is_told_how_many_lines_were_left_out(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lines = Lines()
-    for is_read in (True, False, False, True, True):
-        monkeypatch.setattr("edge.logs.is_read", lambda _, is_read=is_read: is_read)
+    put = lines._writer.put
+    for is_written in (True, False, False, True, True):
+        monkeypatch.setattr(lines._writer, "put", lambda line, it=is_written: it and put(line))
         lines.put("press")
 
     assert capsys.readouterr().out.splitlines() == [

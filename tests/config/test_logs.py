@@ -1,10 +1,13 @@
 """Log lines as text and as JSON, with the press that they are about."""
 
-import io
+import fcntl
 import json
 import logging
+import os
+import pty
 import re
 import sys
+import threading
 from collections.abc import Callable
 
 import pytest
@@ -82,16 +85,46 @@ def test_a_press_is_an_event(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_lines_that_nobody_reads_are_left_out_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    written = io.StringIO()
-    handler = Lines(written)
-    handler.setFormatter(Json())
-    for is_read in (True, False, False, True, True):
-        monkeypatch.setattr("edge.logs.is_read", lambda _, is_read=is_read: is_read)
-        handler.handle(record())
+    """The first of them waits for who reads, and no line behind it does."""
+    monkeypatch.setattr("edge.logs.PATIENCE_S", 0.05)
+    reading, writing = os.pipe()
+    full = os.write(writing, b" " * fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096))
+    with os.fdopen(writing, "w", encoding="utf-8") as stream:
+        handler = Lines(stream)
+        handler.setFormatter(Json())
+        for number in range(3):
+            handler.handle(record(f"line {number}"))
+        assert os.read(reading, full) == b" " * full
+        first = os.read(reading, 4096)
+        assert handler._writer._is_written.wait(10)
+        for number in (3, 4):
+            handler.handle(record(f"line {number}"))
+    later = os.read(reading, 4096)
+    os.close(reading)
 
-    assert [json.loads(line)["message"] for line in written.getvalue().splitlines()] == [
-        "the sensor is gone",
+    assert [json.loads(line)["message"] for line in (first + later).splitlines()] == [
+        "line 0",
         "2 lines left out: nothing was read here; inspection went on",
-        "the sensor is gone",
-        "the sensor is gone",
+        "line 3",
+        "line 4",
     ]
+
+
+@pytest.mark.parametrize(("open_pair", "length"), [(pty.openpty, 333), (os.pipe, 9000)])
+def test_a_line_that_fits_in_part_holds_up_nobody(
+    open_pair: Callable[[], tuple[int, int]], length: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A terminal that hangs, and a long traceback: there is room for the beginning of a line, so the system says that
+    one can be written, and then never ends."""
+    monkeypatch.setattr("edge.logs.PATIENCE_S", 0.05)
+    reading, writing = open_pair()
+    with os.fdopen(writing, "w", encoding="utf-8") as stream:
+        handler = Lines(stream)
+        handler.setFormatter(Text())
+        lines = [record("x" * length)] * 400
+        logging_thread = threading.Thread(target=lambda: [handler.handle(one) for one in lines], daemon=True)
+        logging_thread.start()
+        logging_thread.join(20)
+        assert not logging_thread.is_alive()
+        assert handler._left_out > 100
+        os.close(reading)  # ends the write
