@@ -256,6 +256,26 @@ def test_a_verdict_does_not_outlive_the_state_ready() -> None:
             assert relay.on == on, (verdict, state)
 
 
+def test_a_pass_that_is_recorded_after_a_halt_is_not_shown(
+    tmp_path: Path, bundle: Path, configure: Make
+) -> None:
+    """The database refuses a press, and the sensor is away for a second meanwhile: another part may press now."""
+    held = press_recording(tmp_path / "held", 1, motion=Motion(hold=40))
+    config = station_config(tmp_path, held, bundle, pace=1.0, tables=ANDON, faults=["stall@48:1"])
+    with IoStation(config) as station:
+        with station.refusing("presses"):
+            station.play_until(lambda: station.loop.is_halted)
+            while station.parts.acquisition.status.frames < 52:
+                station.read(1)
+                while (frame := station.parts.acquisition.next(0)) is not None:
+                    station.loop.step(frame)
+        station.turn()
+        station.switch()
+        assert station.verdicts == ["pass"]
+        assert station.loop.is_pressed
+        assert on(tmp_path) == set()
+
+
 def test_a_pass_that_is_recorded_after_the_next_press_began_is_not_shown() -> None:
     """The database was slow: the light would be the other part's."""
     relay = FakeRelay(clock := ManualClock())

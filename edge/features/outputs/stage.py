@@ -140,12 +140,12 @@ class Outputs(PressStage):
     def show(self, view: StationView) -> None:
         """Show the state without the verdict; it is also the sign that the station's loop is alive.
 
-        A station that does not inspect forgets the verdict: when it inspects again, it has judged nothing yet. While a
-        contact does not end, or the sensor shows nothing, another part may lie on it, and no pass is shown. When a
-        piece of several places is begun, nothing of the one before is shown.
+        A station that does not inspect forgets the verdict, and a pass that is not recorded yet: when it inspects
+        again, it has judged nothing yet. While a contact does not end, or the sensor shows nothing, another part may
+        lie on it, and no pass is shown. When a piece of several places is begun, nothing of the one before is shown.
         """
         if view.state != "ready":
-            self._verdict = None
+            self._verdict, self._awaited_ns = None, None
         is_unseen = self._seen_ns is not None and self._clock.monotonic_ns() - self._seen_ns > UNSEEN_S * 1e9
         is_other_piece = view.piece_id not in (None, self._piece_id)
         if is_other_piece or (self._verdict == "pass" and (is_unseen or "contact" in view.alarms)):

@@ -163,7 +163,7 @@ BY_OTHERS = (
     Bug(
         "the verdict survives a halt",
         "edge/features/outputs/stage.py",
-        '        if view.state != "ready":\n            self._verdict = None\n',
+        '        if view.state != "ready":\n            self._verdict, self._awaited_ns = None, None\n',
         "",
         "was not ready since",
     ),
