@@ -5,7 +5,7 @@ from collections import deque
 from datetime import datetime
 from typing import Final, Self, final
 
-from edge.core.contact.events import Event, PressBegan, PressEnded
+from edge.core.contact.events import Event, PressBegan, PressEnded, ReferenceReady
 from edge.core.contact.press_detector import Look
 from edge.core.contact.sight import BLIND_AFTER_S, LongContact, Sight
 from edge.core.ports import Clock
@@ -21,6 +21,13 @@ log = logging.getLogger(__name__)
 _MERGED: Final = (
     "the gel was pressed: where the part was lifted and another one pressed in that time, or just after it, both are "
     "one press"
+)
+
+# Two seconds of the free gel are enough to learn it.
+_LEARNT_AFTER_S: Final = 15.0
+_NOT_LEARNT: Final = Sentence(
+    f"the free gel was not seen at rest for more than {_LEARNT_AFTER_S:.0f} s, so presses are not seen and not "
+    "counted; lift the part for two seconds"
 )
 
 # Times without sight that wait while the database refuses writes; the newest are kept.
@@ -45,6 +52,8 @@ class SensingWatch(PressStage):
         self._seen_ns: int | None = None
         self._unseen: deque[Act] = deque(maxlen=_MOST_WAITING)
         self._is_pressed = False  # and the press has not been interrupted
+        self._is_learning = True  # the picture of the free gel
+        self._learning_ns: int | None = None  # since when it is seen
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
@@ -57,6 +66,12 @@ class SensingWatch(PressStage):
         elif isinstance(event, PressEnded):
             self._contact.end(event.timestamp_ns)
             self._is_pressed = False
+        elif isinstance(event, ReferenceReady):
+            self._is_learning = False
+
+    def relearn(self) -> None:
+        """The picture of the free gel is learnt again."""
+        self._is_learning, self._learning_ns = True, None
 
     def look(self, look: Look) -> None:
         sight, timestamp_ns = look.sight, look.timestamp_ns
@@ -69,8 +84,11 @@ class SensingWatch(PressStage):
             if not is_merged:
                 self._note_unseen(timestamp_ns)
             self._seen_ns = timestamp_ns
+        if self._learning_ns is None or sight.lost or look.interruption_s > BLIND_AFTER_S:
+            self._learning_ns = timestamp_ns
         if sight.lost is None:
-            self._alarms.contact(*self._contact.look(timestamp_ns))
+            is_late = self._is_learning and timestamp_ns - self._learning_ns > _LEARNT_AFTER_S * 1e9
+            self._alarms.contact(*((_NOT_LEARNT, False) if is_late else self._contact.look(timestamp_ns)))
         if (self._blind is None) != (sight.lost is None):
             self._blind = None if sight.lost is None else self._sentence(sight, timestamp_ns)
             log.warning("%s", self._blind or "the sensor shows its gel again")

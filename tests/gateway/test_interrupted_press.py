@@ -79,3 +79,36 @@ def test_each_time_without_sight_is_kept_while_the_database_refuses(tmp_path: Pa
         acts = [act for act in reversed(store.acts()) if act.verb == "not_seen"]
 
     assert [act.arguments["seconds"] for act in acts] == pytest.approx([2.4, 0.5, 2.4], abs=0.2)
+
+
+TOO_SHORT = [*[1.0] * 8, *[0.0] * 8] * 25
+
+
+@pytest.mark.parametrize(
+    ("shown", "is_said", "is_over"),
+    [
+        ([*TOO_SHORT, *TOO_SHORT, *FREE], True, True),
+        ([*[1.0] * 400], True, False),
+        ([*FREE, *TOO_SHORT, *TOO_SHORT], False, True),
+    ],
+    ids=["lifts too short to learn from", "a part that lies there", "learnt at the start"],
+)
+def test_a_free_gel_that_is_never_seen_at_rest_is_an_alarm(
+    shown: list[float | None], is_said: bool, is_over: bool, tmp_path: Path
+) -> None:
+    """After 15 s: until it is learnt the station inspects nothing. It ends when it is."""
+    earlier, said = PressDetector(PROFILE), list[tuple[object, bool]]()
+    for frame in frames(FREE):
+        earlier.feed(frame)
+    detector = PressDetector(PROFILE, stored=earlier.tracker.reference)
+    with Store(tmp_path / "gelgate.db") as store:
+        watch = SensingWatch(Mock(contact=lambda *one: said.append(one)), store, ManualClock())
+        for frame in frames(shown):
+            look = detector.feed(frame)
+            for event in look.events:
+                watch.see(event)
+            watch.look(look)
+    texts = [str(text) for text, _ in said if text is not None]
+    assert any("was not seen at rest for more than 15 s" in text for text in texts) == is_said
+    assert (said[-1][0] is None) == is_over
+    assert not any(is_fault for _, is_fault in said)
