@@ -27,8 +27,10 @@ __all__ = ["Publisher", "PublisherLock"]
 class PublisherLock:
     """Held by one process at a time and lost with it. database: its file, made already.
 
-    A symbolic link is followed, so both names have one lock. A second hard link is refused: the database's journal has
-    the name of the file, so two names of one file have two journals, and SQLite would damage it.
+    A database in use whose name differs by its ending alone, as left.db and left.sqlite, is refused: archive,
+    references and snapshots would be those of both. A symbolic link is followed, so both names have one lock. A second
+    hard link is refused: the database's journal has the name of the file, so two names of one file have two journals,
+    and SQLite would damage it.
     Ref: https://www.sqlite.org/howtocorrupt.html, 2.2.
     Errors: StoreError if another process has the lock, or the file has another name.
     """
@@ -50,12 +52,30 @@ class PublisherLock:
             raise StoreError(
                 f"another gelgate process publishes from database {database}; end it, or name another database"
             ) from error
+        for other in real.parent.glob("*.publisher"):
+            if other != path and Path(other.stem).stem == real.stem and _is_held(other):
+                self.close()
+                raise StoreError(
+                    f"database {other.stem} in the same folder is in use, and {database.name} would have the same "
+                    "archive and references; give it a name that differs by more than its ending"
+                )
 
     def close(self) -> None:
         """Release it. May be called again."""
         file, self._file = self._file, None
         if file is not None:
             os.close(file)
+
+
+def _is_held(lock: Path) -> bool:
+    try:
+        with lock.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # of another user: it is not known
+        pass
+    return False
 
 
 def _refuse_second_name(database: Path) -> None:

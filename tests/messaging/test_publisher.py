@@ -214,3 +214,20 @@ def test_plugin_faults_are_retried(store: Store, path: Path, caplog: pytest.LogC
 
     assert (len(broken.results()), len(sound.results())) == (1, 1)
     assert "KeyError: 'a bug'" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("other", "is_refused"), [("left.sqlite", True), ("left", True), ("left.2.db", False)]
+)
+def test_databases_that_would_share_an_archive_are_not_used_at_once(
+    other: str, is_refused: bool, tmp_path: Path
+) -> None:
+    """Each would remove the other's presses from it; after the first has ended the second may use it."""
+    first = PublisherLock(tmp_path / "left.db")
+    if is_refused:
+        with pytest.raises(StoreError, match=r"left\.db in the same folder is in use"):
+            PublisherLock(tmp_path / other)
+    else:
+        PublisherLock(tmp_path / other).close()
+    first.close()
+    PublisherLock(tmp_path / other).close()
