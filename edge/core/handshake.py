@@ -278,11 +278,11 @@ class HandshakeMachine:
         elif not self._needs_free:
             self._is_pressed = True
 
-    def find_asked(self, now_ns: int) -> tuple[str | None, str]:
-        """Return what the trigger names that the press answers which is decided now: the part that must judge it, None
-        for any; and the piece, empty for none."""
+    def find_asked(self, now_ns: int) -> tuple[int, str | None, str]:
+        """Return the trigger that the press answers which is decided now, 0 for none, and what it names: the part that
+        must judge the press, None for any; and the piece, empty for none."""
         is_answer = self.read(now_ns).step == "busy" and self._is_pressed and self._awaited is None
-        return (self._part, self._view.piece) if is_answer else (None, "")
+        return (self._view.trigger_id, self._part, self._view.piece) if is_answer else (0, None, "")
 
     def judge(
         self,

@@ -176,8 +176,10 @@ class Press:
     """What a bundle that decides nothing says of it; None without one."""
     piece: PlacePress | None = None
     """What it means for a piece of several places; None without a plan, and for a press of no piece."""
+    trigger_id: int = 0
+    """Of the trigger of a PLC that it answers; 0 for none."""
     asked_piece: str = ""
-    """The piece that a PLC names with the trigger which it answers; empty for none."""
+    """The piece that the PLC names with it; empty for none."""
     press_id: str = ""
     """Its ULID, given when it is judged."""
     time_ns: int = 0
@@ -191,11 +193,13 @@ class Press:
 
     @property
     def piece_names(self) -> tuple[Set[str], ...]:
-        """What names its piece: the plan, a PLC, and the codes on it with the ids in them. Empty where none does."""
+        """What names its piece: the plan, a PLC, and the codes on it with the ids in them; where none does, the trigger
+        of the PLC, which knows of no second press."""
         codes = [] if self.overview is None else [code.text for code in self.overview.codes]
         ids = () if self.overview is None else self.overview.piece_ids
         plan = set() if self.piece is None else {self.piece.piece_id}
-        return plan, {self.asked_piece} - {""}, set(codes), set(ids)
+        names = plan, {self.asked_piece} - {""}, set(codes), set(ids)
+        return *names, set() if any(names) else {str(self.trigger_id or "")} - {""}
 
     @property
     def is_decided(self) -> bool:

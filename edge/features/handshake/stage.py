@@ -163,8 +163,8 @@ class HandshakeStage(PressStage):
             return press
         selected = self._parts.selection.part
         with self.port.machine() as (machine, now_ns):
-            part, piece = machine.find_asked(now_ns)
-        press = replace(press, asked_piece=piece)
+            trigger_id, part, piece = machine.find_asked(now_ns)
+        press = replace(press, trigger_id=trigger_id, asked_piece=piece)
         if part in (None, str(selected)):
             return press
         reason = Sentence(f"the PLC asks for {part}, and {selected} is selected; see `gelgate station acts`")
