@@ -311,6 +311,10 @@ def exit_code(error: type[errors.GelgateError]) -> int:
 
 def main() -> NoReturn:
     """Run the command line; every refusal is one sentence on stderr and a documented exit code."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by who starts it: no file may get its number
+            null = os.open(os.devnull, os.O_RDWR)
+            setattr(sys, name, os.fdopen(null, "r" if name == "stdin" else "w", encoding="utf-8"))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # what a terminal cannot spell ends nothing
             stream.reconfigure(errors="backslashreplace")

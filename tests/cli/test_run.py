@@ -210,6 +210,16 @@ def test_lines_that_cannot_be_printed_do_not_end_the_inspection(pressed: Path, o
     assert [path.name for path in made if path.is_file() and path.stat().st_mode & 0o007] == []
 
 
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_do_not_end_the_inspection(pressed: Path, closed: str) -> None:
+    """As a program starts it that closes them, and not to /dev/null."""
+    command = ["sh", "-c", f'exec "$0" "$@" {closed}', GELGATE, "run", "--config", pressed]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=pressed.parent)
+
+    assert done.returncode == 0, done.stderr
+    assert len(payloads(pressed.parent, "result")) == 3
+
+
 def test_a_log_as_json_has_the_presses_too(pressed: Path) -> None:
     """Each line of the standard error output is one object; press lines are not printed as well."""
     command = [GELGATE, "run", "--log-json", "--config", pressed]
