@@ -339,9 +339,11 @@ def main() -> NoReturn:
         print(f"gelgate: {hidden or f'{error}; allow more memory (`ulimit -v`, LimitAS=)'}", file=sys.stderr)
         sys.exit(exit_code(errors.ConfigError) if hidden else 1)
     except OSError as error:
-        if error.filename is None and error.errno not in _DISK:
+        # a working folder that is gone has no name either
+        nameless = {errno.ENOENT: "the folder where this was started", **dict.fromkeys(_DISK, "the disk")}
+        where = error.filename or nameless.get(error.errno or 0)
+        if where is None:
             raise
-        where = error.filename or "the disk"
         print(
             f"gelgate: {where}: {error.strerror}; check the path, its rights and the free space",
             file=sys.stderr,

@@ -324,6 +324,7 @@ def ending_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
         (KeyboardInterrupt(), 130, "gelgate: interrupted\n"),
         (PermissionError(errno.EACCES, "Permission denied", "/etc/x"), 1, "gelgate: /etc/x: Permission denied; "),
         (OSError(errno.ENOSPC, "No space left on device"), 1, "gelgate: the disk: No space left on device; "),
+        (FileNotFoundError(errno.ENOENT, "No such file"), 1, "gelgate: the folder where this was started: No such "),
     ],
 )  # fmt: skip
 def test_how_else_a_verb_may_end(
