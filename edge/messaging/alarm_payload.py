@@ -64,7 +64,8 @@ ALARMS: Final[Mapping[str, Alarm]] = {
         title="A receiver refuses messages",
     ),
     "receiver": Alarm(
-        'correct the broker\'s rules; set `protocol = "5"`; give each station its own name, and each page its own port',
+        "correct the broker's rules, or a folder's rights; set `protocol = \"5\"`; give each station its own name, and "
+        "each page its own port",
         title="A receiver works with a fault",
     ),
     "counts": Alarm(

@@ -50,6 +50,13 @@ class JsonlOptions(BaseModel, extra="forbid", frozen=True):
         """The folder."""
         return str(self.folder)
 
+    def warnings(self) -> list[str]:
+        """Say that nothing can be written in the folder, or that it cannot be made."""
+        above = next((path for path in (self.folder, *self.folder.parents) if path.exists()), self.folder)
+        if above.is_dir() and os.access(above, os.W_OK):
+            return []
+        return [f"{self.folder} cannot be written now: {above} is no folder to write in; results will wait"]
+
 
 class JsonlSink:
     """A folder of messages. Topics are relative to the station's root, which each line names."""
@@ -63,6 +70,8 @@ class JsonlSink:
         self._picture_folders = {folder / kind for kind in PICTURES}
         self._root = root
         self._lock = threading.Lock()
+        self.faults: tuple[str, ...] = ()
+        """Why nothing can be written; a full disk has an alarm of its own."""
 
     def send(self, message: Message) -> None:
         """Append and flush to disk. Errors: SinkUnavailable when the disk refuses, SinkRejected for invalid JSON."""
@@ -79,14 +88,15 @@ class JsonlSink:
                 else:
                     line["file"] = self._picture(message) if message.payload else None
                 self._append(line)
+            self.faults = ()
         except ValueError as error:
             raise SinkRejected(
                 f"the message on {message.topic} is not JSON ({error}); it was not written"
             ) from error
         except OSError as error:
-            raise SinkUnavailable(
-                f"folder {self._folder} cannot be written: {error.strerror or error}; free space or change its rights"
-            ) from error
+            why = f"folder {self._folder} cannot be written: {error.strerror or error}; free space or change its rights"
+            self.faults = () if error.errno in (errno.ENOSPC, errno.EDQUOT) else (why,)
+            raise SinkUnavailable(why) from error
 
     def close(self) -> None:
         """Nothing stays open between messages."""

@@ -55,12 +55,20 @@ def test_a_message_becomes_a_line_and_a_picture_a_file(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_cannot_be_made_is_unavailable(tmp_path: Path) -> None:
-    """The outbox keeps the row; the sentence names the folder."""
+    """The outbox keeps the row; the sentence names the folder, is the alarm `receiver`, and `check` warns of it."""
     (tmp_path / "file").write_text("")
-    sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path / "file" / "log"), STATION)
+    options = jsonl.JsonlOptions(folder=tmp_path / "file" / "log")
+    sink = jsonl.plugin.open(options, STATION)
 
-    with pytest.raises(SinkUnavailable, match=r"file/log cannot be written"):
+    with pytest.raises(SinkUnavailable, match=r"file/log cannot be written") as refused:
         sink.send(Message("result", b"{}"))
+    assert sink.faults == (str(refused.value),)
+    assert ["file/log cannot be written now" in warning for warning in options.warnings()] == [True]
+
+    (tmp_path / "file").unlink()
+    sink.send(Message("result", b"{}"))
+    assert sink.faults == ()
+    assert options.warnings() == []
 
 
 def test_a_full_disk_leaves_no_half_line(tmp_path: Path) -> None:
