@@ -28,7 +28,7 @@ from edge.core.imaging.sensor_check import colour_cells, is_other_kind
 from edge.core.part_position import PartPosition
 from edge.core.person_verdict import PersonVerdict, settle
 from edge.core.press import Press
-from edge.core.shadow import LEAST_ON_NEW_GEL
+from edge.core.shadow import LEAST_ON_NEW_GEL, is_more
 from edge.features.black_box.replay import judge_as_then
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
@@ -337,6 +337,19 @@ class Comparison:
             return []
         words = [(self.before[one.press.press_id].word, self.after[one.press.press_id].word) for one in good]
         return [one for one, (then, now) in zip(good, words, strict=True) if then == "pass" != now]
+
+    @property
+    def is_quieter(self) -> bool:
+        """Tell whether the new bundle passes clearly more of the presses that nobody called damaged."""
+        sound = {one.press.press_id for one in self.presses.good}
+        sound |= {one.press_id for one in self.presses.others} - self.presses.doubted
+        known = sound & self.before.keys() & self.after.keys()
+        words = [(self.before[key].word, self.after[key].word) for key in known]
+        gained, lost = (
+            sum((one == "pass") < (other == "pass") for one, other in pairs)
+            for pairs in (words, [pair[::-1] for pair in words])
+        )
+        return is_more(gained, lost)
 
     def check(self) -> None:
         """Errors: FitError where the new bundle loses a known damage, or fails more good parts."""

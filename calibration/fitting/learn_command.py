@@ -2,7 +2,7 @@
 
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -31,7 +31,7 @@ from calibration.fitting.options import GelId, LeaveOut, NoContact, Output, Over
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
 from calibration.fitting.presses.sources import check_present
 from calibration.fitting.regions.drawing import draw_again
-from calibration.fitting.teach import BEARABLE, Lesson, lower_place, name_alike
+from calibration.fitting.teach import BEARABLE, Lesson, Remedy, lower_limit, lower_place, name_alike
 from calibration.progress import Report
 from edge.cli.arguments import add_argument, add_option, flatten
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
@@ -103,6 +103,14 @@ def learn(given: LearnArguments) -> None:
     # Of a gel on which the bundle is not proven the first presses all stand apart, and have to be learnt.
     doubtful = [k for k in learnt if Path(presses.names[k]).stem not in confirmed.on_new_gel]
 
+    before = judge_presses(old, confirmed, database, given.threads)
+
+    def compare(fitted: Fitted) -> Comparison:
+        after = judge_presses(fitted.bundle(), confirmed, database, given.threads)
+        comparison = Comparison(confirmed, before, after)
+        typer.echo(f"{comparison.describe()}; {comparison.changes()}")
+        return comparison
+
     def fit_and_check(created: str, report: Report) -> Fitted:
         fitted, kept = fit_files(presses, config, created=created, report=report), presses
         apart = [k for k in doubtful if presses.names[k] in fitted.apart]
@@ -113,9 +121,7 @@ def learn(given: LearnArguments) -> None:
                 fitted, kept = without, others
                 _leave_out_apart([Path(presses.names[k]).stem for k in apart], database)
         fitted = draw_again(old, fitted, kept, config, created)
-        comparison = _compare(old, fitted, confirmed, database, given.threads)
-        if (taught := _teach_lost(fitted, comparison, kept, config, created)) is not None:
-            fitted, comparison = taught, _compare(old, taught, confirmed, database, given.threads)
+        fitted, comparison = _teach_lost(fitted, compare(fitted), kept, config, created, compare)
         _warn_of_fewer_found(old.manifest.facts, fitted.manifest.facts)
         try:
             comparison.check()
@@ -127,41 +133,41 @@ def learn(given: LearnArguments) -> None:
     make(fit_and_check, given.output, given.overwrite)
 
 
-def _compare(
-    old: Bundle, fitted: Fitted, confirmed: ConfirmedPresses, database: Path, threads: int
-) -> Comparison:
-    """Judge the presses that people spoke of by both bundles, and say what they make of them."""
-    before, after = (judge_presses(one, confirmed, database, threads) for one in (old, fitted.bundle()))
-    comparison = Comparison(confirmed, before, after)
-    typer.echo(f"{comparison.describe()}; {comparison.changes()}")
-    return comparison
-
-
 def _teach_lost(
     fitted: Fitted,
     comparison: Comparison,
     presses: NominalPresses,
     config: FitConfig,
     created: str,
-) -> Fitted | None:
-    """Teach the new bundle the damage that it loses, at its places; None where it loses none, and where that cannot be
-    or costs too much, which is said."""
+    compare: Callable[[Fitted], Comparison],
+) -> tuple[Fitted, Comparison]:
+    """Teach the new bundle the damage that it loses, by the limit of all places or of its own, whichever costs less.
+
+    Returns the same bundle where it loses none, and where that cannot be or costs too much, which is said. What costs
+    much is taken all the same where the old bundle fails clearly more of the station's presses.
+    """
     if not comparison.lost:
-        return None
+        return fitted, comparison
     new = fitted.bundle()
+    tried: list[Remedy | str] = ["the new bundle finds it in the picture"]
     try:
         lesson = Lesson(new, _read_pictures(comparison.lost, new), presses, config, created)
-        remedy = lower_place(lesson) if lesson.missed else "place: the new bundle finds it in the picture"
+        if lesson.missed:
+            tried = [lower_limit(lesson), lower_place(lesson)]
     except FitError as error:
-        remedy = f"place: {error}"
-    if isinstance(remedy, str):
-        typer.echo(f"what the new bundle loses is not taught: {remedy}")
-        return None
-    is_bearable = remedy.rate <= BEARABLE and all(remedy.is_found)
+        tried = [str(error)]
+    found = [one for one in tried if not isinstance(one, str) and all(one.is_found)]
+    if not found:
+        words = (one if isinstance(one, str) else one.describe() for one in tried)
+        typer.echo(f"what the new bundle loses is not taught: {'; '.join(words)}")
+        return fitted, comparison
+    remedy = min(found, key=lambda one: (one.rate, one.alarms))
+    taught = compare(remedy.fitted)
+    is_worth_it = remedy.rate <= BEARABLE or taught.is_quieter
     typer.echo(
-        f"what the new bundle loses {'is taught' if is_bearable else 'costs too much'}: {remedy.describe()}"
+        f"what the new bundle loses {'is taught' if is_worth_it else 'costs too much'}: {remedy.describe()}"
     )
-    return remedy.fitted if is_bearable else None
+    return (remedy.fitted, taught) if is_worth_it else (fitted, comparison)
 
 
 def _read_pictures(presses: Sequence[ConfirmedPress], bundle: Bundle) -> NominalPresses:

@@ -44,8 +44,6 @@ __all__ = [
 BEARABLE: Final = 0.10
 """Of sound presses that fail: twice what a fit asks for by default."""
 
-MOST_DAMAGED: Final = 5
-
 # At a place that is taught its damage scores this many times the limit.
 _ABOVE: Final = 1.1
 # What is watched around a place, and where that fades out. Of 12 damages of two simulated parts no more sound presses
@@ -76,8 +74,6 @@ class Lesson:
 
     def __post_init__(self) -> None:
         old, limit = self.old, self.old.manifest.threshold
-        if not 1 <= len(self.damaged) <= MOST_DAMAGED:
-            raise FitError(f"found {len(self.damaged)} damaged presses, expected 1 to {MOST_DAMAGED}")
         if limit.n == 0 or not limit.value > 0:
             raise FitError(
                 f"bundle {old.where} has no scores of presses ({limit.method}), so what another limit costs is not "

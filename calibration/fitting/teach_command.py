@@ -50,6 +50,8 @@ __all__ = ["teach"]
 # Those that are tried where none is named: with the usual one the best on real touch (docs/detectors.md).
 _METHODS: Final = ("padim", "patchcore")
 
+_MOST_DAMAGED: Final = 5
+
 
 @dataclass(frozen=True)
 class TeachArguments:
@@ -86,6 +88,8 @@ def teach(given: TeachArguments) -> None:
     """
     if (given.take is None) != (given.output is None):
         raise ConfigError("--take says what is written, and --output where; give both, or none to look first")
+    if len(given.damaged) > _MOST_DAMAGED:
+        raise FitError(f"found {len(given.damaged)} damaged presses, expected 1 to {_MOST_DAMAGED}")
     if given.output is not None:
         refuse_existing(given.output, given.overwrite)
     old = Bundle.load(given.bundle)

@@ -7,7 +7,7 @@ from typing import Final
 from edge.core.binomial import rate_limits
 from edge.core.printable import write_count
 
-__all__ = ["LEAST_COMPARED", "LEAST_ON_NEW_GEL", "JudgedTwice", "Weighing"]
+__all__ = ["LEAST_COMPARED", "LEAST_ON_NEW_GEL", "JudgedTwice", "Weighing", "is_more"]
 
 LEAST_COMPARED: Final = 100
 """Presses that both bundles have judged before one may take the other's place. Where none of 100 sound presses
@@ -121,7 +121,7 @@ class Weighing:
         is_lost = any(
             one.was_damaged and one.verdict != "pass" and one.other == "pass" for one in self.presses
         )
-        return _is_more(better, worse) and not is_lost and not self.unknown
+        return is_more(better, worse) and not is_lost and not self.unknown
 
     def refusals(self, *, has_promise: bool) -> list[str]:
         """Say why the shadow may not take over; nothing where it may."""
@@ -164,7 +164,7 @@ class Weighing:
         sound = [one for one in self.differing if not one.was_damaged]
         failing = [one.press_id for one in sound if one.other != "pass"]
         passing = len(sound) - len(failing)
-        if _is_more(len(failing), passing):
+        if is_more(len(failing), passing):
             found.append(
                 f"{write_count(len(failing), 'press')} that nobody called damaged pass the bundle in use alone, "
                 f"{passing} the shadow alone, more than by chance: {', '.join(failing[:_MOST_NAMED])}"
@@ -172,7 +172,7 @@ class Weighing:
         return found
 
 
-def _is_more(more: int, fewer: int) -> bool:
+def is_more(more: int, fewer: int) -> bool:
     """Tell whether equal bundles would differ this much, more presses for one than for the other, seldom by chance."""
     return rate_limits(more, more + fewer, 1 - _MOST_BY_CHANCE)[0] > 0.5
 

@@ -29,7 +29,8 @@ from calibration.fitting.learn import (
     read_confirmed,
     write_picture,
 )
-from calibration.fitting.learn_command import _warn_of_fewer_found
+from calibration.fitting.learn_command import _read_pictures, _warn_of_fewer_found
+from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
 from edge.core.arrays import Mask
 from edge.core.errors import FitError
@@ -39,6 +40,7 @@ from edge.core.person_verdict import PersonVerdict
 from edge.core.press import Press
 from edge.core.verdict import decide
 from edge.model.bundle import Bundle
+from edge.model.scorer import Scorer
 from edge.store.gel_proofs import GelBundle
 from edge.store.press_archive import ArchivedPress, ArchiveFolder, mask_bytes
 
@@ -237,6 +239,7 @@ def test_a_damage_that_the_new_limit_passes_is_taught_at_its_place(
 
     for module in ("learn_command", "teach"):
         monkeypatch.setattr(f"calibration.fitting.{module}.fit_files", fit_loosely)
+    monkeypatch.setattr("calibration.fitting.learn_command.lower_limit", lambda lesson: "limit: in vain")
     station.say({0: "good", 2: "damaged", 4: "damaged"})
 
     done = learn(station)
@@ -248,6 +251,67 @@ def test_a_damage_that_the_new_limit_passes_is_taught_at_its_place(
     assert sorted(Bundle.load(station.new).manifest.facts["taught"][0]["presses"]) == sorted(
         station.ids[number] for number in (2, 4)
     )
+
+
+@pytest.mark.parametrize(("loosely", "is_quieter"), [(1.1, False), (2.0, True), (2.0, False)])
+def test_a_damage_that_no_place_finds_is_taught_by_the_limit(
+    station: Judged, monkeypatch: pytest.MonkeyPatch, loosely: float, is_quieter: bool
+) -> None:
+    """Where that costs next to nothing, or where the old bundle fails clearly more presses."""
+    station.say({0: "good", 2: "damaged", 4: "damaged"})
+    damaged = read_confirmed(station.database, PartPosition("bolt", "default"), "").damaged
+
+    def fit_loosely(*given: Any, **named: Any) -> Fitted:
+        fitted = fit_files(*given, **named)
+        scorer = Scorer(new := fitted.bundle(), 1)
+        highest = max(scorer.score(rgb).anomaly_score for rgb in _read_pictures(damaged, new).frames)
+        scores = np.array(fitted.manifest.threshold.nominal_scores)
+        if loosely > 1.5:  # sound presses that reach as far
+            scores[-4:] = 1.5 * highest
+        limit = conformal_threshold(scores, 0.05).model_copy(update={"value": loosely * highest})
+        return dataclasses.replace(fitted, manifest=fitted.manifest.model_copy(update={"threshold": limit}))
+
+    monkeypatch.setattr("calibration.fitting.learn_command.fit_files", fit_loosely)
+    monkeypatch.setattr("calibration.fitting.learn_command.lower_place", lambda lesson: "place: in vain")
+    monkeypatch.setattr(Comparison, "is_quieter", is_quieter)
+
+    done = learn(station)
+
+    if loosely > 1.5 and not is_quieter:
+        assert "what the new bundle loses costs too much: limit: the limit " in done.out
+        assert "passes what was found before, and is not written" in done.sentence()
+        assert not station.new.exists()
+        return
+    assert done.code == 0, done.err
+    assert "2 do not pass the old bundle and 0 do not pass the new one" in done.out
+    assert "what the new bundle loses is taught: limit: the limit " in done.out
+    assert "2 do not pass the old bundle and 2 do not pass the new one" in done.out
+    manifest = Bundle.load(station.new).manifest
+    assert sorted(manifest.facts["taught"][0]["presses"]) == sorted(station.ids[k] for k in (2, 4))
+    assert (manifest.threshold.alpha > 0.1) == (loosely > 1.5)
+
+
+def test_a_bundle_is_quieter_where_clearly_more_presses_pass_that_nobody_called_damaged() -> None:
+    passed, failed = Press(decide(1.0, 2.0)), Press(decide(3.0, 2.0))
+    names = [str(number) for number in range(9)]
+    others = [ArchivedPress.model_construct(press_id=name) for name in names]
+
+    def is_quieter(now_passing: int, now_failing: int, doubted: int = 0) -> bool:
+        before = {name: failed if k < now_passing else passed for k, name in enumerate(names)}
+        after = {
+            name: passed if k < now_passing or k >= now_passing + now_failing else failed
+            for k, name in enumerate(names)
+        }
+        presses = ConfirmedPresses(others=others, doubted=set(names[:doubted]))
+        return Comparison(presses, before, after).is_quieter
+
+    assert [is_quieter(*numbers) for numbers in ((5, 0), (8, 1), (4, 0), (7, 2), (5, 0, 1))] == [
+        True,
+        True,
+        False,
+        False,
+        False,
+    ]
 
 
 def test_a_damage_that_somebody_else_calls_good_does_not_change_unsaid(station: Judged) -> None:
