@@ -215,7 +215,7 @@ def _take_features(plan: _Plan, progress: Progress) -> _Features:
         )
     posed = pose.apply(presses)
     augmentation = plan.augment(pose.learnt is not None)
-    copies = Copies.of(presses, augmentation.each, config.profile.pixels_per_mm, config.seed, take)
+    copies = Copies.of(posed, augmentation.each, config.profile.pixels_per_mm, config.seed, take)
     nominal = reader.nominal(posed, progress)
     said += [*pose.find_warnings(presses.names), *plan.warnings, *feature_warnings(nominal, reader.grid)]
     learner = replace(learner, copies=copies)
@@ -257,7 +257,7 @@ def _learn_bank(features: _Features, watch: StageTimes) -> _Learnt:
     """Learn the bank, and find the limit that it is to have. Errors: FitError."""
     plan, learner, nominal = features.plan, features.learner, features.nominal
     with watch.time("threshold"):
-        shown = features.pose.show(nominal, features.take, plan.presses.unjudged)
+        shown = features.pose.show(nominal, features.take, plan.presses)
         damage, damaged, why_plain = features.render_damage()
         edited = None if damage is None or damaged is None else (damaged, damage.press)
 

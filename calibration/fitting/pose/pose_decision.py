@@ -14,7 +14,7 @@ import numpy as np
 
 from calibration.fitting.damage.damaged_presses import SIZE_SHARES, DamagedPresses, render_damage
 from calibration.fitting.limits.held_out import HeldOut, Learner, ShownPresses
-from calibration.fitting.pose.completed import completed
+from calibration.fitting.pose.completed import complete_places, completed
 from calibration.fitting.pose.registration import LearntPose, keep_pose, learn_pose
 from calibration.fitting.pose.two_parts import find_two_parts
 from calibration.fitting.presses.augmentation import FEW, Take
@@ -118,20 +118,25 @@ class PoseChoice:
         ]
 
     def apply(self, presses: NominalPresses) -> NominalPresses:
-        """Bring the presses to the pose of the bank; registered ones lie at one place, their touch is unknown."""
+        """Bring the presses to the pose of the bank; registered ones lie at one place, their touch is unknown. Places
+        that a station did not judge, as under scars of its gel, are those of other presses."""
         if self.learnt is None:
-            return presses
+            hidden = presses.unjudged
+            shown = presses.frames if hidden is None else complete_places(list(presses.frames), list(~hidden))
+            return replace(presses, frames=shown)
         touches = tuple(replace(touch, x=0.5, y=0.5) for touch in presses.touches)
         return replace(
             presses, frames=self.learnt.frames, raw=None, touches=touches, touched=None, unjudged=None
         )
 
-    def show(self, nominal: Nominal, take: Take, unjudged: Mask | None = None) -> ShownPresses:
+    def show(self, nominal: Nominal, take: Take, presses: NominalPresses) -> ShownPresses:
         """Return the nominal presses as the gateway shows them to the bank: what a press does not show is the mean
         press, and does not count. What the bank learns there is other presses, with seams that no gateway makes.
-        unjudged: what does not count of presses that are scored as they lie."""
+        nominal: what is learnt of them. presses: as they lie."""
         if self.learnt is None:
-            return ShownPresses(nominal.features, unjudged=unjudged)
+            hidden = presses.unjudged
+            features = nominal.features if hidden is None else take(presses.frames)
+            return ShownPresses(features, unjudged=hidden)
         registered = self.learnt.registered
         return ShownPresses(take(np.stack([one.rgb for one in registered])), registered)
 

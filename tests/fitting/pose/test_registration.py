@@ -205,7 +205,7 @@ def test_presses_are_held_out_as_the_gateway_shows_them() -> None:
     learnt = learnt_from(parts.BLOCK)
     choice = PoseChoice(learnt)
     unused = Nominal({"rgb": np.zeros((8, 1, 1, 1), np.float32)})
-    shown = choice.show(unused, take)
+    shown = choice.show(unused, take, rendered)
     at_gateway = [Registrar(learnt.part).register(rgb) for rgb in rendered.frames]
     assert np.array_equal(shown.features["rgb"], np.stack([one.rgb for one in at_gateway]))
     assert shown.seen is not None
@@ -226,7 +226,7 @@ def test_presses_are_held_out_as_the_gateway_shows_them() -> None:
         found = warp(mask.astype(np.float32), one.pose.inverse())
         assert found[61:63, 61:63].min() > 0.5
 
-    still = PoseChoice(None).show(unused, take)
+    still = PoseChoice(None).show(unused, take, rendered)
     assert still.seen is None
     assert still.features is unused.features
     assert PoseChoice(None).take_shown(take) is take
@@ -251,6 +251,31 @@ def test_a_scar_under_which_a_station_did_not_judge_raises_no_limit() -> None:
     assert highest[1] < 1.1 * highest[2]
     learnt = keep_pose(old, scarred, places)
     assert max(abs(learnt.frames.astype(int) - keep_pose(old, frames).frames).max(axis=(1, 2, 3))) < 60
+
+
+def test_the_bank_of_presses_as_they_lie_learns_no_scar_either() -> None:
+    """They are judged with it, as a station does; also their rendered copies have none."""
+    frames = np.stack([parts.press(parts.BLOCK, seed=k) for k in range(6)])
+    scarred, places = frames.copy(), np.zeros(frames.shape[:3], np.bool_)
+    scarred[:2, 60:68, 50:58] = 255
+    places[:2, 44:84, 34:74] = True
+    asked, choice = [], PoseChoice(None)
+    presses = nominal(scarred, unjudged=places)
+
+    posed = choice.apply(presses)
+    shown = choice.show(
+        Nominal({"rgb": posed.frames}), lambda rgb: asked.append(rgb) or {"rgb": rgb}, presses
+    )
+    bundle = fitted(presses, "never", limit="plain").bundle()
+
+    assert max(abs(posed.frames.astype(int) - frames).max(axis=(1, 2, 3))) < 60
+    assert np.array_equal(posed.frames[2:], frames[2:])
+    assert np.array_equal(asked[0], scarred)
+    assert shown.seen is not None
+    assert np.array_equal(~shown.seen, places)
+    limit = bundle.manifest.threshold.value
+    assert Scorer(bundle).score(scarred[0]).anomaly_score > 2 * limit
+    assert Scorer(bundle).score(frames[0]).anomaly_score < limit
 
 
 def test_the_limit_is_higher_at_a_cut_of_the_gel_wherever_the_part_lies() -> None:
