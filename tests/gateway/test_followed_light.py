@@ -11,7 +11,6 @@ from stepped_station import SteppedStation
 from edge.core.contact.tracker import ContactTracker
 from edge.messaging.result_payload import ResultPayload
 from edge.model import inspector as module
-from edge.store.gel_files import GelFiles
 
 
 @pytest.fixture(scope="module")
@@ -127,12 +126,6 @@ def test_the_shading_of_a_new_gel_changes_no_verdict(
         [score for _, score, _ in before], abs=0.01, rel=0.1
     )
     assert replayed.code == 0, replayed.err
-
-
-def test_without_it_a_new_gel_passes_nothing(new_gel: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is guarded: sound presses fail, or their colours are refused."""
-    monkeypatch.setattr(GelFiles, "has_others", lambda *_: False)
-    assert {result.verdict for result in press_on_new_gel(new_gel)} <= {"fail", "rejected"}
 
 
 def test_it_is_followed_again_after_a_restart(new_gel: Path) -> None:

@@ -10,8 +10,6 @@ from stepped_station import SteppedStation
 
 from edge.core.gel_proof import Proven
 from edge.core.verdict import Kind
-from edge.features.gel_proof import GelProofWatch
-from edge.messaging.command_payloads import NoArguments
 from edge.store import gel_proofs
 from edge.store.acts import CONFIRM, Act
 from edge.store.gel_proofs import GelBundle, of_mounted
@@ -52,6 +50,8 @@ def test_a_new_gel_is_a_state_and_an_alarm(replaced: Callable[..., SteppedStatio
     with SteppedStation(tmp_path / "gelgate.toml") as again:
         again.play_until(lambda: again.loop.session is not None)
         assert "on this gel 1 of 3 presses alarmed" in again.said("state")["unproven"]
+        with pytest.raises(ValueError, match=r"Press \d+ more sound parts"):
+            again.ask("prove_gel")
         key = GelBundle("TEST0001", "TEST0001-2", again.bundle_id)
         for _ in range(60):
             again.parts.store.write("pressing", partial(gel_proofs.count, key=key, is_alarm=False))
@@ -108,15 +108,3 @@ def test_it_may_be_said_in_the_state_alone(replaced: Callable[..., SteppedStatio
     with replaced("off") as station:
         assert station.said("state")["unproven"] is not None
         assert station.alarm("gel_proof") is None
-
-
-def test_the_word_of_a_person_ends_it_once_presses_are_enough(
-    replaced: Callable[..., SteppedStation], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Before, the request is refused with what is missing."""
-    with replaced(presses_since=1) as station:
-        with pytest.raises(ValueError, match="Press 21 more sound parts"):
-            station.find(GelProofWatch).prove(NoArguments())
-        monkeypatch.setattr("edge.core.gel_proof.PROVEN_RATE", 0.95)
-        station.find(GelProofWatch).prove(NoArguments())
-        assert (station.said("state")["unproven"], station.alarm("gel_proof")) == (None, None)

@@ -4,7 +4,6 @@ lacks, or has beside it, fails."""
 import cv2
 import numpy as np
 import pytest
-from command_line import gelgate
 from numpy.typing import NDArray
 from scarred_gel import scarred_recording
 from station import Motion, small_bundle, station_config
@@ -76,11 +75,3 @@ def test_a_mark_in_five_presses_in_a_row_is_an_alarm_that_says_where(played: Pla
     assert all("13.4 mm from the left and 3.2 mm from the top" in str(alarm) for alarm in alarms[fifth:-1])
     assert "where the part does not reach" in str(alarms[fifth])
     assert alarms[-1] is None
-
-
-def test_verdicts_without_a_speck_are_made_again(played: Played) -> None:
-    """What was left out is archived with the press: all verdicts are equal bit for bit."""
-    done = gelgate("station", "replay", "--all", "-c", played[0].parts.store.path.with_name("gelgate.toml"))
-
-    assert done.code == 0, done.err
-    assert f"{PRESSES} presses: {PRESSES} equal, 0 differ" in done.out

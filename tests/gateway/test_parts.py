@@ -215,17 +215,6 @@ def test_the_last_good_bundle_stays_when_the_new_one_fails(
     assert station.alarm("bundle") is None
 
 
-def test_info_names_parts_that_a_reload_brings(station: SteppedStation, folder: Path, bundle: Path) -> None:
-    """Also where the bundle in use stays as it is: a dashboard that selects has the list."""
-    station.play(3)
-    variant(bundle, folder / "c", part="PZ2")
-    station.reload()
-
-    info = station.said("info")
-    assert info["part"] == "PZ0"
-    assert info["parts"] == ["PZ0/pos1", "PZ1/pos1", "PZ2/pos1"]
-
-
 def test_info_names_parts_of_a_reload_that_cannot_be_recorded(
     station: SteppedStation, folder: Path, bundle: Path
 ) -> None:

@@ -31,6 +31,8 @@ from edge.store.integrity import check_database
 from edge.store.person_verdicts import ask_again, read_spoken_of, read_verdicts
 from edge.store.ulid import new_ulid
 
+UNKNOWN = new_ulid(1, lambda k: bytes(k))
+
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -164,10 +166,7 @@ def test_after_a_restart_the_page_shows_its_presses_and_what_it_asks_about(
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (
-            {"press_id": new_ulid(1, lambda k: bytes(k)), "verdict": "good"},
-            "is not in the history of this station",
-        ),
+        ({"press_id": UNKNOWN, "verdict": "good"}, "is not in the history of this station"),
         ({"press_id": "last", "verdict": "good"}, "press_id: it has another form than expected"),
         ({"verdict": "good"}, "press_id: Field required"),
         (
@@ -175,6 +174,10 @@ def test_after_a_restart_the_page_shows_its_presses_and_what_it_asks_about(
             "verdict: Input should be 'good', 'damaged', 'gel' or 'cannot_tell'",
         ),
         ({"press_id": None, "verdict": "good", "kind": "burr"}, "press_id"),
+        (
+            {"press_id": UNKNOWN, "verdict": "good", "kind": "burr"},
+            "kind is of a damage, and the verdict is good",
+        ),
     ],
 )
 def test_what_cannot_be_kept_is_refused_with_a_sentence(
@@ -184,12 +187,6 @@ def test_what_cannot_be_kept_is_refused_with_a_sentence(
 
     assert response["status"] == "error"
     assert sentence in str(response["error"])
-
-
-def test_a_kind_belongs_to_a_damage(played: SteppedStation) -> None:
-    response = say(played)(press_id=played.results[0].press_id, verdict="good", kind="burr")
-
-    assert "kind is of a damage, and the verdict is good" in str(response["error"])
 
 
 @pytest.mark.parametrize(("one", "other"), [("kim", "lee"), ("Meier, Kim", "Meier, Lee")])

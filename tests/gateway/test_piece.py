@@ -475,15 +475,6 @@ def test_a_plan_that_cannot_be_is_refused(configure: Make) -> None:
         pass
 
 
-def test_a_piece_that_is_changed_afterwards_is_found(configure: Make) -> None:
-    with PieceStation(configure(plan(), dented=(0,))) as station:
-        station.play()
-        path = station.parts.store.path
-        station.parts.store.write("t", lambda it: it.execute("UPDATE pieces SET verdict = 'pass'"))
-
-    assert "piece 1 was changed after it was written" in check_database(path)[0].text
-
-
 OVERVIEW = """
 [overview]
 plugin = "virtual_overview"

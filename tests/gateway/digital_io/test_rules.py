@@ -97,15 +97,6 @@ def test_a_rule_without_sense_is_refused(change: dict[str, object], words: str) 
         OutputRule(**{"channel": 3, "when": frozenset({"fail"}), **change})  # type: ignore[arg-type]
 
 
-def test_a_press_counts_when_it_is_held_and_once() -> None:
-    """Bounces of a contact are shorter than 40 ms; a foot is longer."""
-    debounce = Debounce(40 * MS)
-    changes = {0: True, 5: False, 8: True, 200: False, 203: True, 206: False, 300: True}
-    found = [ms for ms in range(400) if debounce.step(changes.get(ms), ms * MS)]
-
-    assert found == [48, 340]
-
-
 def test_a_short_touch_is_no_press() -> None:
     """Shorter than the debounce time: a disturbance on the line."""
     debounce = Debounce(40 * MS)
