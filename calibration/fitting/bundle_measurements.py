@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calibration.fitting.limits.threshold import count_needed, pieces_of
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from calibration.fitting.presses.strangers import find_copies
-from edge.core.detector import Detector, KeepsMean
+from edge.core.detector import Bank, Detector, KeepsMean
 from edge.core.errors import FitError, NotScorable
 from edge.core.imaging.quality import NominalContact, NominalStrength
 from edge.core.printable import write_count
@@ -21,6 +21,7 @@ from edge.extras import find_version
 from edge.model.bundle import GoldenFrame
 from edge.model.manifest import CostCard, Provenance, ThresholdEntry, ToleranceEntry
 from edge.model.manifest_facts import GIVEN
+from edge.model.packing import pack
 from edge.model.scorer import Scorer, map_peaks
 from edge.pictures.nominal_pictures import NominalPictures
 
@@ -28,6 +29,7 @@ __all__ = [
     "check_given",
     "contact_range",
     "cost_card",
+    "count_stored",
     "golden_frames",
     "measure_tolerance",
     "picture_presses",
@@ -130,6 +132,15 @@ def cost_card(
         bank_bytes_stored=sum(entry.bytes_stored for entry in entries),
         bank_bytes_unpacked=sum(entry.bytes_unpacked for entry in entries),
     )
+
+
+def count_stored(bank: Bank) -> int:
+    """Return the bytes of a bank as stored. Errors: FitError where an array cannot be stored."""
+    try:
+        packs = [pack(array, bank.packing.get(name, "none")) for name, array in bank.arrays.items()]
+    except ValueError as error:
+        raise FitError(f"the bank cannot be stored: {error}") from error
+    return sum(one.data.nbytes + (0 if one.scale is None else one.scale.nbytes) for one in packs)
 
 
 def contact_range(presses: NominalPresses) -> NominalContact | None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.fitting.bundle_measurements import count_stored
 from calibration.fitting.features import extract
 from calibration.fitting.fit import Fitted
 from calibration.fitting.presses.nominal_presses import NominalPresses
@@ -16,7 +17,6 @@ from edge.core.detector import Bank
 from edge.core.errors import BundleCorrupt
 from edge.model.bundle import Bundle, Graphs
 from edge.model.bundle_writer import bundle_files, facts_of
-from edge.model.packing import pack
 from edge.model.scorer import Scorer
 from edge.model.session import open_session
 from export.finish import Parts, WrapConfig, finish_bundle
@@ -95,10 +95,7 @@ def _measure_losses(
 ) -> Losses:
     """Measure what the smaller bank costs. Errors: BundleCorrupt where packing changes maps or scores too much."""
     arrays, packing = model.bank.arrays, model.bank.packing
-    packs = [pack(array, packing.get(name, "none")) for name, array in arrays.items()]
-    stored = sum(
-        packed.data.nbytes + (0 if packed.scale is None else packed.scale.nbytes) for packed in packs
-    )
+    stored = count_stored(model.bank)
     used = sum(array.nbytes for array in arrays.values())
     reduction = _measure_reduction(model, frames, threads, source)
     if not packing:

@@ -3,7 +3,7 @@
 Guards: one press is defined (rank 0 returns early in `lowrank.spectrum`, and no division by N-1 = 0), features must be
 finite at fit, and the graph never turns NaN into a number. Checked by removal: without the first pair the first test
 fails; without isfinite in `validation._check_strength` the second; with NaN replaced by 0 before the root the third;
-without isfinite in `harness.scoring.run_head` the last.
+without isfinite in `harness.scoring.score_presses` the last.
 """
 
 import numpy as np
@@ -11,10 +11,10 @@ import pytest
 import tiny
 from heads import LIKE_RESNET, features, fit, head_scores
 
-from calibration.experiments.harness.scoring import run_head
+from calibration.experiments.harness.scoring import score_presses
+from calibration.fitting.limits.held_out import Learner
 from edge.core.detector import Nominal
 from edge.core.errors import FitError, NotScorable
-from edge.model.session import open_session
 from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.padim import padim
 
@@ -68,10 +68,11 @@ def test_nothing_hides_a_nan_from_the_gateway(detector: object, bad: float) -> N
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_no_study_scores_what_is_not_finite(bad: float) -> None:
     """Studies and trade-off run the head themselves: a press whose score is not finite is refused there too."""
-    graphs, bank = tiny.tiny_graphs(), tiny.tiny_bank().arrays
+    learner = Learner(tiny.TINY, tiny.tiny_grid(), tiny.TINY.parameters(), 0, 1)
+    bank = learner.bank(Nominal({"layer1": np.full((1, 3, 4, 4), 0.5, np.float32)}))
 
     def score(maps: np.ndarray) -> object:
-        return run_head(open_session(graphs.head or b"", 1, "head"), bank, {"layer1": [maps]}, "tiny")
+        return score_presses(learner, bank, {"layer1": maps}, [0])
 
     asked = np.full((1, 3, 4, 4), 0.5, np.float32)
     score(asked)

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import onnxruntime as ort
-from numpy.typing import NDArray
 
 from calibration.experiments.harness.pictures import PressPictures
 from calibration.fitting.features import extract, trunk_grid
@@ -39,12 +38,6 @@ class Taken:
     grid: Grid
     features: Features
     """Tap to float32 (n, c, h, w), memory-mapped and read-only."""
-
-    def each(
-        self, rows: Sequence[int] | NDArray[np.int64], taps: Sequence[str]
-    ) -> dict[str, list[NDArray[np.float32]]]:
-        """The map (1, c, h, w) of each press, for some taps, in the file: read when it is used."""
-        return {tap: [self.features[tap][row : row + 1] for row in rows] for tap in taps}
 
     def grid_of(self, taps: Sequence[str]) -> Grid:
         """The geometry of some taps."""

@@ -1,7 +1,7 @@
 """What the cells of one part, position and backbone have in common: presses, features, masks."""
 
 import importlib.metadata
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from calibration.experiments.harness.cells import Cell
 from calibration.experiments.harness.feature_cache import Taken, take_features
 from calibration.experiments.harness.presses import StudyPresses, open_presses, presses_of
-from calibration.experiments.harness.scoring import Scored, TestPresses, fit_and_score
+from calibration.experiments.harness.scoring import Also, TestPresses, fit_and_score
+from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.trunks import Trunk, open_trunk
 from edge import registry
 from edge.core.detector import Detector, Mode, Nominal, Progress
@@ -70,12 +71,12 @@ class Material:
     """The one that gave the features."""
     taken: Taken
 
-    def test(self, rows: NDArray[np.int64], taps: Sequence[str]) -> TestPresses:
+    def test(self, rows: NDArray[np.int64]) -> TestPresses:
         """Return some presses to be scored."""
         is_defective = rows >= self.presses.nominal
         masks = np.zeros((len(rows), *self.presses.masks.shape[1:]), np.bool_)
         masks[is_defective] = self.presses.masks[rows[is_defective] - self.presses.nominal]
-        return TestPresses(self.taken.each(rows, taps), masks, is_defective)
+        return TestPresses(self.taken.features, rows, masks, is_defective)
 
     @cached_property
     def facts(self) -> dict[str, Any]:
@@ -105,29 +106,22 @@ class Drawn:
     tested: NDArray[np.int64]
 
 
-def fit_cell(
-    cell: Cell,
-    *drawn: Drawn,
-    also: Callable[[Scored, Sequence[TestPresses]], Mapping[str, Any]] = lambda scored, tests: {},
-) -> dict[str, Any]:
+def fit_cell(cell: Cell, *drawn: Drawn, also: Also = lambda each: {}) -> dict[str, Any]:
     """Fit the cell's method on all that is learnt and score all that is tested; return the columns of its row.
 
-    also: more columns, from the scores and the test presses of each material. Errors: FitError, NotScorable.
+    also: more columns, from the scores of each material. Errors: FitError, NotScorable.
     """
-    detector = registry.detector(cell.method)
-    overrides = overrides_for(cell.method, cell.mode, cell.backbone)
-    taps = detector.taps(detector.parameters(cell.mode, **overrides))
-    learnt = {tap: [one.material.taken.features[tap][one.learnt] for one in drawn] for tap in taps}
-    tests = [one.material.test(one.tested, taps) for one in drawn]
+    detector, overrides = registry.detector(cell.method), overrides_for(cell.method, cell.mode, cell.backbone)
+    parameters, taken = detector.parameters(cell.mode, **overrides), [one.material.taken for one in drawn]
+    grid = taken[0].grid_of(detector.taps(parameters))
+    learnt = {
+        tap: [of.features[tap][one.learnt] for of, one in zip(taken, drawn, strict=True)] for tap in grid.taps
+    }
     measured = fit_and_score(
-        detector,
-        cell.mode,
+        Learner(detector, grid, parameters, cell.seed, threads=1),
         Nominal({tap: np.asarray(np.concatenate(maps)) for tap, maps in learnt.items()}),
-        drawn[0].material.taken.grid_of(taps),
-        TestPresses.join(tests),
-        seed=cell.seed,
-        overrides=overrides,
-        also=lambda scored: also(scored, tests),
+        [one.material.test(one.tested) for one in drawn],
+        also,
     )
     texts = [
         f"{name} {', '.join(map(str, value)) if isinstance(value, tuple) else value}"

@@ -26,7 +26,7 @@ from calibration.experiments.harness.page import (
 )
 from calibration.experiments.harness.presses import HeldOut, hold_out, open_presses, subset
 from calibration.experiments.harness.rows import Rows
-from calibration.experiments.harness.scoring import Scored, TestPresses, measures
+from calibration.experiments.harness.scoring import measures
 from calibration.experiments.harness.study import (
     Evaluation,
     Options,
@@ -35,6 +35,7 @@ from calibration.experiments.harness.study import (
     positions_by_part,
     run_study,
 )
+from calibration.fitting.limits.held_out import ScoredPresses
 from edge.core.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -68,8 +69,20 @@ class CrossPosition(Evaluation):
             Drawn(found, subset(one.pool, max(least, count), cell.seed), found.presses.tested(one))
             for found, one, count, least in zip((source, target), held, counts, (1, 0), strict=True)
         ]
+
+        def measure_each(each: Sequence[ScoredPresses]) -> dict[str, float | None]:
+            """Return the measures of each position alone, such as `aupro_001_source`."""
+            tests = (one.material.test(one.tested) for one in drawn)
+            return {
+                f"{measure}_{name}": value
+                for name, scored, test in zip(("source", "target"), each, tests, strict=True)
+                for measure, value in measures(
+                    scored.maps, scored.scores, test.masks, test.is_defective
+                ).items()
+            }
+
         return {
-            **fit_cell(cell, *drawn, also=_of_each),
+            **fit_cell(cell, *drawn, also=measure_each),
             "source_presses": len(drawn[0].learnt),
             "target_presses": len(drawn[1].learnt),
             "target_pictures_sha256": target.facts["pictures_sha256"],
@@ -101,16 +114,6 @@ def _without(found: Material, held: HeldOut, tested: set[str | None]) -> HeldOut
             "so none is left to learn from; press more specimens, or hold out fewer presses with --held-out"
         )
     return HeldOut(held.test, np.array(pool, np.int64))
-
-
-def _of_each(scored: Scored, tests: Sequence[TestPresses]) -> dict[str, float | None]:
-    """Return the measures of each position alone, such as `aupro_001_source`."""
-    n = len(tests[0])
-    return {
-        f"{measure}_{name}": value
-        for name, rows, test in zip(("source", "target"), (slice(n), slice(n, None)), tests, strict=True)
-        for measure, value in measures(Scored(scored.maps[rows], scored.scores[rows], ()), test).items()
-    }
 
 
 def study_cross_position(options: Options) -> Rows:

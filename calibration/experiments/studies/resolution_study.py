@@ -41,7 +41,7 @@ from calibration.experiments.harness.presses import (
     subset,
 )
 from calibration.experiments.harness.rows import Rows
-from calibration.experiments.harness.scoring import Scored, TestPresses, measures
+from calibration.experiments.harness.scoring import measures
 from calibration.experiments.harness.study import (
     Evaluation,
     Options,
@@ -51,6 +51,7 @@ from calibration.experiments.harness.study import (
     run_study,
 )
 from calibration.fitting.features import trunk_grid
+from calibration.fitting.limits.held_out import ScoredPresses
 from calibration.fitting.trunks import Trunk, open_trunk
 from edge.core.detector import Progress
 from edge.core.errors import DatasetError, StoreError
@@ -96,6 +97,8 @@ def common_map(pixels: NDArray[Any], view: View) -> NDArray[np.float32]:
 
 
 STUDY = "resolution"
+
+_IN_COMMON = ("aupro_001", "aupro_005", "auprc", "pixel_auroc")
 
 _CONTROLS = (
     ("lr", "lr_tiled", "the tiles and the denser features, without more detail"),
@@ -198,22 +201,17 @@ class ResolutionStudy(Evaluation):
         (seen,) = materials
         rows = subset(seen.held.pool, max(1, round(float(cell.setting("fraction")) * seen.pool)), cell.seed)
 
-        def in_common(scored: Scored, tests: Sequence[TestPresses]) -> dict[str, float | None]:
-            return _in_common(scored, seen.common, tests[0].is_defective, str(cell.setting("view")))
+        tested, view = seen.presses.tested(seen.held), VIEWS[str(cell.setting("view"))]
 
-        drawn = Drawn(seen, rows, seen.presses.tested(seen.held))
-        return {**fit_cell(cell, drawn, also=in_common), "pool": seen.pool}
+        def measure_in_common(each: Sequence[ScoredPresses]) -> dict[str, float | None]:
+            """Return the measures of pixels in the common field of view, such as `aupro_001_common`."""
+            maps = np.stack([common_map(one, view) for one in each[0].maps])
+            blank = np.zeros((len(maps) - len(seen.common), *seen.common.shape[1:]), np.bool_)
+            masks, is_defective = np.concatenate([blank, seen.common]), tested >= seen.presses.nominal
+            found = measures(maps, each[0].scores, masks, is_defective)
+            return {f"{name}_common": found[name] for name in _IN_COMMON}
 
-
-def _in_common(
-    scored: Scored, masks: NDArray[np.bool_], is_defective: NDArray[np.bool_], view: str
-) -> dict[str, float | None]:
-    """The measures of pixels in the common field of view, such as `aupro_001_common`."""
-    maps = np.stack([common_map(one, VIEWS[view]) for one in scored.maps])
-    blank = np.zeros((len(maps) - len(masks), *masks.shape[1:]), np.bool_)
-    test = TestPresses({}, np.concatenate([blank, masks]), is_defective)
-    found = measures(Scored(maps, scored.scores, ()), test)
-    return {f"{name}_common": found[name] for name in ("aupro_001", "aupro_005", "auprc", "pixel_auroc")}
+        return {**fit_cell(cell, Drawn(seen, rows, tested), also=measure_in_common), "pool": seen.pool}
 
 
 def cap_presses(place: ViewPlace) -> tuple[StudyPresses, HeldOut, int]:

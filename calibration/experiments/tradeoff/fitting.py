@@ -11,7 +11,7 @@ import numpy as np
 
 from calibration.experiments.harness.pictures import tile
 from calibration.experiments.harness.rows import ROW_FORMAT
-from calibration.experiments.harness.scoring import run_head
+from calibration.experiments.harness.scoring import score_presses
 from calibration.experiments.tradeoff.accuracy import measure_accuracy
 from calibration.experiments.tradeoff.floor import work_of
 from calibration.experiments.tradeoff.front import Row
@@ -31,7 +31,6 @@ from edge.core.imaging.tiles import tiling
 from edge.model.bundle import Bundle, Graphs
 from edge.model.bundle_writer import bundle_files, write_bundle
 from edge.model.manifest import Facts, GridEntry, Manifest
-from edge.model.session import open_session
 
 __all__ = ["content_sha256", "detector_of", "fit_points", "trunk_of"]
 
@@ -112,9 +111,9 @@ def _fit(
         facts, Graphs(trunk=trunk.graph, head=head), bank, backbone=trunk.id, with_trunk=False
     )
     loaded = Bundle.in_memory(manifest, files, loaded=(trunk.sha256,))
-    maps = {tap: [one[None] for one in features[tap][len(nominal) :]] for tap in taps}
-    session = open_session(head, learner.threads, f"head of {point.method}")
-    scored = run_head(session, loaded.bank, maps, point.method)
+    scored = score_presses(
+        learner, bank, features, range(len(nominal), len(nominal) + len(run.chosen.scored))
+    )
     shared = folder / "trunks" / f"{trunk.sha256}.onnx"  # once for all points that share it
     if not shared.is_file():
         shared.parent.mkdir(parents=True, exist_ok=True)

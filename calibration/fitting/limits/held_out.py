@@ -9,10 +9,11 @@ threshold.
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
+import onnxruntime as ort
 from numpy.typing import NDArray
 
 from calibration.fitting.features import extract, trunk_grid
@@ -134,18 +135,19 @@ class Learner:
 
     def score(self, bank: Bank, features: Features, rows: Sequence[int]) -> ScoredPresses:
         """Score those presses with the bank as stored. Errors: FitError."""
-        head = open_session(self.head(bank), self.threads, f"head of {self.detector.name}")
+        head = _open_head(self.head(bank), self.threads, self.detector.name)
         wanted = {i.name for i in head.get_inputs()}
         stored = {name: _as_stored(bank, name) for name in bank.arrays if name in wanted}
         taps = {tap: maps for tap, maps in features.items() if tap in wanted}
         scored = _empty(self.grid, len(rows))
         for place, k in enumerate(rows):
-            start = time.perf_counter()
             inputs = {**_select(taps, [k]), **stored}
+            start = time.perf_counter()
             try:
                 score_map, score = head.run(["score_map", "score"], inputs)
             except RUNTIME_ERRORS as error:
-                raise FitError(f"the head does not run on a fold of the presses: {error!s:.300}") from error
+                name = self.detector.name
+                raise FitError(f"the head of {name} does not run on a press: {error!s:.300}") from error
             scored.head_ms[place] = (time.perf_counter() - start) * 1e3
             scored.maps[place], scored.scores[place] = score_map[0], score[0]
         return scored
@@ -183,6 +185,12 @@ def score_held_out(
             damaged.put(rows, learner.score_shown(bank, damage, rows))
         progress((number + 1) / len(folds))
     return HeldOut(sound, damaged)
+
+
+@lru_cache(maxsize=4)
+def _open_head(head: bytes, threads: int, name: str) -> ort.InferenceSession:
+    """Open a head, kept for the next banks: most graphs are the same for all of them."""
+    return open_session(head, threads, f"head of {name}")
 
 
 def _empty(grid: Grid, presses: int, seen: Mask | None = None) -> ScoredPresses:
