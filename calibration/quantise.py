@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from edge.core.arrays import U8
 
 __all__ = ["halved", "layers", "quantise_graph"]
 
@@ -56,9 +57,7 @@ def layers(data: bytes) -> list[str]:
     return [node.name for node in _prepare(data).graph.node if node.op_type in LAYERS]
 
 
-def quantise_graph(
-    data: bytes, frames: NDArray[np.uint8], in_float: Sequence[str] = (), only: Sequence[str] = ()
-) -> bytes:
+def quantise_graph(data: bytes, frames: U8, in_float: Sequence[str] = (), only: Sequence[str] = ()) -> bytes:
     """Quantise a graph to int8, with the same input and outputs.
 
     frames: uint8 (n, h, w, 3), nominal ones: ranges are those that they show. in_float: layers that stay in float.
@@ -72,7 +71,7 @@ def quantise_graph(
         def __init__(self) -> None:
             self._left = list(frames)
 
-        def get_next(self) -> dict[str, NDArray[np.uint8]] | None:
+        def get_next(self) -> dict[str, U8] | None:
             return {"frames": self._left.pop(0)[None]} if self._left else None
 
     model = _prepare(data)

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F64, U8
 from edge.core.errors import ConfigError
 from edge.model.bundle_writer import write_file
 from edge.model.manifest_facts import LICENCE
@@ -61,7 +62,7 @@ class BackboneOptions:
     """A published touch encoder whose preprocessing is used."""
     steps: InputSteps | None = None
     """The preprocessing instead of the encoder's, or of ImageNet's."""
-    background: NDArray[np.uint8] | None = None
+    background: U8 | None = None
     frame: tuple[int, int] = (224, 224)
     """(h, w) of the inspected region."""
     weights: Literal["float32", "float16"] = "float32"
@@ -235,9 +236,9 @@ def _vit(
 def _compare_taps(
     trunk: bytes,
     taps: Sequence[str],
-    planes: NDArray[np.float64],
+    planes: F64,
     expected: Mapping[str, NDArray[np.floating]],
-    frames: NDArray[np.uint8],
+    frames: U8,
     source: Path,
     facts: dict[str, str],
     weights: str,
@@ -255,7 +256,7 @@ def _compare(stages: Sequence[Stage], source: Path, facts: dict[str, str]) -> Pa
     return compare(stages, title=f"Trunk of {source.name}", facts=facts)
 
 
-def _probe(frame: tuple[int, int]) -> NDArray[np.uint8]:
+def _probe(frame: tuple[int, int]) -> U8:
     """Two frames, uint8 (2, h, w, 3): noise, and slopes with noise; every level and every channel differs."""
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 256, (2, *frame, 3))

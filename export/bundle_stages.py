@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import U8
 from edge.core.errors import ConfigError
 from edge.model.bundle import Bundle
 from edge.model.pipe import FRAMES
@@ -54,9 +55,7 @@ def compare_bundle(bundle: Bundle, file: Path) -> ParityReport:
     )
 
 
-def bundle_stages(
-    bundle: Bundle, frames: NDArray[np.uint8], names: tuple[str, ...]
-) -> dict[str, NDArray[Any]]:
+def bundle_stages(bundle: Bundle, frames: U8, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
     """These stages for frames uint8 (n, h, w, 3) of presses, in the order of the computation.
 
     names: `input`, taps, names of values inside the head, `map`, `score`. Errors: ConfigError for an unknown name, or a
@@ -71,7 +70,7 @@ def bundle_stages(
     return arrays | {name: array for name, array in last if name in names}
 
 
-def _inside(bundle: Bundle, frames: NDArray[np.uint8], names: list[str]) -> dict[str, NDArray[Any]]:
+def _inside(bundle: Bundle, frames: U8, names: list[str]) -> dict[str, NDArray[Any]]:
     import onnx
 
     network = bundle.graphs.trunk or bundle.graphs.detector or b""

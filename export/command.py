@@ -3,9 +3,7 @@
 from pathlib import Path
 from typing import Annotated, get_args
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from calibration.dataset import open_dataset, resolution_of
 from calibration.fitting.command import refuse_existing, resolve_sources
@@ -14,6 +12,7 @@ from calibration.fitting.presses.sources import is_dataset
 from calibration.progress import Stages
 from edge import registry
 from edge.cli.options import BundlePath, TrunkStore
+from edge.core.arrays import U8
 from edge.core.errors import BundleError, ConfigError
 from edge.core.imaging.tiles import tiling
 from edge.extras import needs
@@ -77,7 +76,7 @@ def precision(
     )
 
 
-def _frames(opened: Bundle, sources: list[Path]) -> tuple[NDArray[np.uint8], Masked]:
+def _frames(opened: Bundle, sources: list[Path]) -> tuple[U8, Masked]:
     """Nominal frames of all sources, and damaged ones with masks of those that are datasets."""
     manifest, sensor, region = opened.manifest, opened.profile, opened.region
     given = any(map(is_dataset, sources))

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import (
     check_given,
@@ -31,6 +30,7 @@ from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.self_check import apart_warnings, black_warnings
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
+from edge.core.arrays import F64, U8
 from edge.core.detector import Bank, Grid
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
@@ -42,7 +42,7 @@ from edge.model.scorer import Scorer
 
 __all__ = ["Measure", "Parts", "WrapConfig", "finish_bundle", "paint_square", "wrap_files"]
 
-Measure = Callable[[Scorer, NDArray[np.float64]], tuple[list[str], Mapping[str, Any]]]
+Measure = Callable[[Scorer, F64], tuple[list[str], Mapping[str, Any]]]
 """Gives warnings and facts for the manifest, from the bundle without threshold and the scores of the presses."""
 
 
@@ -78,7 +78,7 @@ class Parts:
     """The trunk's id."""
     grid: Grid | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    free_view: NDArray[np.uint8] | None = None
+    free_view: U8 | None = None
 
 
 def wrap_files(
@@ -94,7 +94,7 @@ def wrap_files(
     presses, errors: as `finish_bundle`; BundleCorrupt for a graph that breaks the contract.
     """
 
-    def measure(scorer: Scorer, scores: NDArray[np.float64]) -> tuple[list[str], Mapping[str, Any]]:
+    def measure(scorer: Scorer, scores: F64) -> tuple[list[str], Mapping[str, Any]]:
         return direction_warnings(scorer, presses.frames, scores), {}
 
     return finish_bundle(
@@ -168,7 +168,7 @@ def _pack(parts: Parts, facts: Facts, golden: Sequence[GoldenFrame] = ()) -> Fit
     return Fitted(*bundle_files(facts, parts.graphs, parts.bank, golden, backbone=trunk, free_view=view))
 
 
-def _score(scorer: Scorer, presses: NominalPresses, report: Report) -> NDArray[np.float64]:
+def _score(scorer: Scorer, presses: NominalPresses, report: Report) -> F64:
     scores = np.empty(len(presses))
     for k, frame in enumerate(presses.frames):
         scores[k] = scorer.score(frame).anomaly_score
@@ -182,7 +182,7 @@ SATURATED_SHARE = 0.5
 AGREEING_SHARE = 0.75
 
 
-def direction_warnings(scorer: Scorer, frames: NDArray[np.uint8], scores: NDArray[np.float64]) -> list[str]:
+def direction_warnings(scorer: Scorer, frames: U8, scores: F64) -> list[str]:
     """Check the direction on some nominal frames, uint8 (n, h, w, 3) with their scores (n,).
 
     Errors: FitError where most painted frames score lower; a warning where most do not score higher, or where half of
@@ -213,7 +213,7 @@ def direction_warnings(scorer: Scorer, frames: NDArray[np.uint8], scores: NDArra
     return said
 
 
-def paint_square(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def paint_square(rgb: U8) -> U8:
     """Copy a frame, uint8 (h, w, 3), with a square of a quarter of its side in the middle: half dark, half bright."""
     h, w = rgb.shape[:2]
     frame, half = rgb.copy(), max(1, min(h, w) // 8)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F64
 from export.onnx_values import rename
 
 __all__ = ["SUFFIX", "Normalisation", "constants", "raw_scores"]
@@ -43,7 +44,7 @@ class Normalisation:
         """The raw score above which the graph's own label is anomalous."""
         return None if self.limit is None else self.threshold + (self.limit - 0.5) * self.spread
 
-    def apply(self, raw: NDArray[Any]) -> NDArray[np.float64]:
+    def apply(self, raw: NDArray[Any]) -> F64:
         """Normalise raw values as the graph does."""
         return np.clip((raw.astype(np.float64) - self.threshold) / self.spread + 0.5, 0, 1)
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import U8
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
 from edge.model.graph_cut import prune
@@ -41,7 +42,7 @@ def graph_trunk(
     data: bytes,
     taps: Mapping[str, str],
     steps: InputSteps,
-    frames: NDArray[np.uint8],
+    frames: U8,
     *,
     high: float,
     prefixes: int | None,

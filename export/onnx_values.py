@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import U8
 from edge.core.errors import ConfigError
 from edge.model.onnx_validation import GraphRefused, check_graph
 from edge.model.session import RUNTIME_ERRORS, open_session
@@ -48,7 +49,7 @@ class PictureInput:
     batch: int | None
     """Frames at a time; None where they are free."""
 
-    def prepare(self, frames: NDArray[np.uint8], steps: InputSteps, high: float) -> NDArray[Any]:
+    def prepare(self, frames: U8, steps: InputSteps, high: float) -> NDArray[Any]:
         """Prepare frames, uint8 (n, h, w, 3), for the graph. high: what the brightest level is after the steps."""
         planes = apply_steps(steps, frames) * high
         planes = planes if self.layout == "nchw" else planes.transpose(0, 2, 3, 1)

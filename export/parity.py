@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F64, U8
 from edge.core.errors import BundleCorrupt
 from edge.model.bundle_writer import write_file
 from edge.model.scorer import Scorer
@@ -152,7 +153,7 @@ class ParityReport:
     """The stages in the order of the computation."""
 
     results: tuple[Stage, ...]
-    frames: NDArray[np.uint8] | None = None
+    frames: U8 | None = None
     """(n, h, w, 3), shown next to the maps."""
     title: str = "Parity"
     facts: Mapping[str, str] = field(default_factory=dict)
@@ -184,7 +185,7 @@ class ParityReport:
 def compare(
     stages: Sequence[Stage],
     *,
-    frames: NDArray[np.uint8] | None = None,
+    frames: U8 | None = None,
     title: str = "Parity",
     facts: Mapping[str, str] | None = None,
 ) -> ParityReport:
@@ -197,14 +198,14 @@ def compare(
     return ParityReport(tuple(stages), frames, title, dict(facts or {}))
 
 
-def score_frames(scorer: Scorer, frames: Iterable[NDArray[np.uint8]]) -> Maps:
+def score_frames(scorer: Scorer, frames: Iterable[U8]) -> Maps:
     """Score frames (h, w, 3): maps (n, h, w) and scores (n,)."""
     scored = [scorer.score(frame) for frame in frames]
     maps = np.stack([press.score_map for press in scored])
     return maps, np.array([press.anomaly_score for press in scored])
 
 
-def show_frames(scorer: Scorer, frames: Iterable[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+def show_frames(scorer: Scorer, frames: Iterable[U8]) -> U8:
     """Return frames (h, w, 3) as the network sees them: prepared, in the bank's pose, uint8 (n, h, w, 3)."""
     prepared = [scorer.bundle.prepare(frame) for frame in frames]
     registered = [scorer.score_prepared(frame).registered for frame in prepared]
@@ -231,10 +232,10 @@ def rank_correlation(a: Array, b: Array) -> float:
     return float(all(constant)) if any(constant) else float(np.corrcoef(ranks).flat[1])
 
 
-def _ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _ranks(values: F64) -> F64:
     _, group, count = np.unique(values, return_inverse=True, return_counts=True)
     last = np.cumsum(count).astype(np.float64)
-    mean: NDArray[np.float64] = (last - (count - 1) / 2)[group]
+    mean: F64 = (last - (count - 1) / 2)[group]
     return mean
 
 
@@ -289,11 +290,11 @@ def _pictures(report: ParityReport) -> Iterator[str]:
         yield "<br>"
 
 
-def _map(share: NDArray[np.floating]) -> NDArray[np.uint8]:
+def _map(share: NDArray[np.floating]) -> U8:
     return paint_scores(np.asarray(np.clip(np.nan_to_num(share), 0, 1) * FULL_SCALE, np.float32))
 
 
-def _figure(rgb: NDArray[np.uint8], caption: str) -> str:
+def _figure(rgb: U8, caption: str) -> str:
     scale = min(1.0, MOST_SIDE / max(rgb.shape[:2]))
     size = (max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale)))
     small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA) if scale < 1 else rgb

@@ -12,12 +12,12 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import cost_card, measure_tolerance, score_again
 from calibration.metrics.pixel import aupro
 from calibration.progress import Report
 from calibration.quantise import halved, layers, quantise_graph
+from edge.core.arrays import F32, U8, Mask
 from edge.core.errors import BundleMismatch, FitError
 from edge.model.bundle import Bundle
 from edge.model.bundle_writer import facts_of, rewrite_files
@@ -49,7 +49,7 @@ TIMED_RUNS = 15
 # What a manifest says of the damage that its limit finds.
 _OF_OLD_LIMIT: Final = (CARD, DAMAGE_FOUND)
 
-Masked = tuple[Sequence[NDArray[np.uint8]], Sequence[NDArray[np.bool_]]]
+Masked = tuple[Sequence[U8], Sequence[Mask]]
 """Frames with the masks of their defects, for AU-PRO."""
 
 
@@ -100,7 +100,7 @@ class Precisions:
 
 def measure_precisions(
     bundle: Bundle,
-    frames: NDArray[np.uint8],
+    frames: U8,
     masked: Masked = ((), ()),
     *,
     limit: float = LIMIT,
@@ -144,7 +144,7 @@ def choose_precision(precisions: Precisions) -> Measured:
 
 
 def in_precision(
-    bundle: Bundle, precisions: Precisions, choice: Measured, frames: NDArray[np.uint8], threads: int = 2
+    bundle: Bundle, precisions: Precisions, choice: Measured, frames: U8, threads: int = 2
 ) -> tuple[Manifest, dict[str, bytes]]:
     """The bundle with this network: its golden frames, tolerance, costs and card are measured again.
 
@@ -206,7 +206,7 @@ def _int8(network: bytes, comparison: "_Comparison", limit: float, report: Repor
 class _Comparison:
     """Maps and scores of the bundle as it is, with which its other precisions are compared."""
 
-    def __init__(self, bundle: Bundle, frames: NDArray[np.uint8], masked: Masked, threads: int) -> None:
+    def __init__(self, bundle: Bundle, frames: U8, masked: Masked, threads: int) -> None:
         self._bundle, self._frames, self._masked, self._threads = bundle, frames, masked, threads
         self._plain = Scorer(bundle, threads, is_skipping=False)
         self._maps, self._scores = score_frames(self._plain, frames)
@@ -230,7 +230,7 @@ class _Comparison:
             in_float=tuple(in_float),
         )
 
-    def show(self, most: int) -> NDArray[np.uint8]:
+    def show(self, most: int) -> U8:
         """Return up to so many of the frames, evenly spread, as the network sees them."""
         return show_frames(self._plain, self._frames[:: max(1, len(self._frames) // most)][:most])
 
@@ -261,13 +261,13 @@ class _Comparison:
         return self._milliseconds * float(np.median(ratios))
 
 
-def _seconds(scorer: Scorer, frame: NDArray[np.uint8]) -> float:
+def _seconds(scorer: Scorer, frame: U8) -> float:
     start = time.perf_counter()
     scorer.score(frame)
     return time.perf_counter() - start
 
 
-def _relative(found: NDArray[np.float32], expected: NDArray[np.float32]) -> float:
+def _relative(found: F32, expected: F32) -> float:
     norm = float(np.linalg.norm(expected.astype(np.float64)))
     return float(np.linalg.norm(found.astype(np.float64) - expected)) / max(norm, 1e-30)
 

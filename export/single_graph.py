@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F64, U8
 from edge.core.errors import ConfigError
 from edge.model.pipe import FRAMES, SCORE, SCORE_MAP
 from export.normalised_scores import SUFFIX, Normalisation, constants, raw_scores
@@ -60,9 +61,7 @@ class Adapted:
     """The comparison; None where the graph met the contract already and is unchanged."""
 
 
-def adapt(
-    data: bytes, frames: NDArray[np.uint8], given: GraphInput | None = None, where: str = "the graph"
-) -> Adapted:
+def adapt(data: bytes, frames: U8, given: GraphInput | None = None, where: str = "the graph") -> Adapted:
     """Adapt a graph to frames of one size. frames: nominal ones, uint8 (n, h, w, 3); at least one.
 
     Errors: ConfigError for a graph that cannot be used, or where something must be stated, with the option.
@@ -199,14 +198,14 @@ class _Outputs:
             raise ConfigError(f"{where} has the scores {', '.join(scores)}; choose with --score-output")
         return cls(chosen, score or "")
 
-    def maps(self, outputs: Mapping[str, NDArray[Any]], frame: tuple[int, int]) -> NDArray[np.float64]:
+    def maps(self, outputs: Mapping[str, NDArray[Any]], frame: tuple[int, int]) -> F64:
         """(n, h, w) at the frame's size, in NumPy."""
         array = outputs[self.map].astype(np.float64)
         small = array.reshape(len(array), *_map_size(array))
         rows, columns = (linear_matrix(a, b) for a, b in zip(small.shape[1:], frame, strict=True))
         return np.asarray(rows @ small @ columns.T, np.float64)
 
-    def scores(self, outputs: Mapping[str, NDArray[Any]], sign: float) -> NDArray[np.float64]:
+    def scores(self, outputs: Mapping[str, NDArray[Any]], sign: float) -> F64:
         if self.score:
             return outputs[self.score].astype(np.float64).reshape(-1)
         flat = outputs[self.map].astype(np.float64).reshape(len(outputs[self.map]), -1)
@@ -260,9 +259,9 @@ def _end(chosen: _Outputs, outputs: Mapping[str, NDArray[Any]], frame: tuple[int
 
 def _compare(
     graph: bytes,
-    frames: NDArray[np.uint8],
+    frames: U8,
     pixels: NDArray[Any],
-    expected: tuple[NDArray[np.float64], NDArray[np.float64]],
+    expected: tuple[F64, F64],
     facts: dict[str, str],
     picture: PictureInput,
     where: str,

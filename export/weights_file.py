@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F32
 from edge.core.errors import ConfigError
 from plugins.backbones.topology import State
 from plugins.reading.foreign import describe, float32
@@ -117,7 +117,7 @@ def _check_file(path: Path) -> None:
         )
 
 
-def _array(entry: Mapping[str, Any]) -> NDArray[np.float32]:
+def _array(entry: Mapping[str, Any]) -> F32:
     """Read a tensor as float32. Errors: ValueError for a dtype that no weights have."""
     dtype, data, shape = entry["dtype"], bytes(entry["data"]), entry["shape"]
     if dtype == "BF16":

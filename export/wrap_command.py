@@ -4,9 +4,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from calibration.fitting.command import choose_profile, make, refuse_existing, resolve_sources
 from calibration.fitting.options import (
@@ -24,6 +22,7 @@ from calibration.fitting.options import (
 )
 from calibration.fitting.presses.nominal_presses import read_presses
 from edge.cli.arguments import add_argument, add_option, flatten
+from edge.core.arrays import U8
 from edge.core.imaging.region import Region
 from edge.core.printable import write_count
 from export.backbone_command import three_numbers
@@ -101,7 +100,7 @@ def wrap(given: WrapArguments) -> None:
     make(partial(wrap_files, ready, presses, config), given.output, given.overwrite)
 
 
-def _adapt(given: WrapArguments, content: bytes, frames: NDArray[np.uint8]) -> tuple[bytes, dict[str, str]]:
+def _adapt(given: WrapArguments, content: bytes, frames: U8) -> tuple[bytes, dict[str, str]]:
     """The graph as the gateway runs it, and what was found of it. Errors: as `adapt`; BundleCorrupt."""
     mean, std = (
         three_numbers(option, text) if text else None

@@ -4,7 +4,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.acquisition.arguments import AcquireArguments
 from calibration.acquisition.coverage import PlaceDistances, Standing
@@ -16,6 +15,7 @@ from calibration.fitting.limits.held_out import TapReader
 from calibration.fitting.presses.nominal_presses import gather_presses, require_light, touched_union
 from calibration.fitting.trunks import open_trunk
 from edge import registry
+from edge.core.arrays import F32, U8, Mask
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
@@ -47,9 +47,9 @@ class Acquiring:
         for name, piece in self.folder.named.items():
             self.pieces.see_again(name, piece)
         self._distances = PlaceDistances()
-        self._shown: NDArray[np.uint8] | None = None
+        self._shown: U8 | None = None
 
-        def read(path: Path) -> NDArray[np.uint8]:
+        def read(path: Path) -> U8:
             return require_light(path, read_rgb(path, profile, resize=plan.resize))
 
         self._free = [read(path) for path in self.folder.free]
@@ -93,16 +93,16 @@ class Acquiring:
             return None
         return self.folder.picture(coverage_png(coverage, self._region.crop(self._shown)))
 
-    def _features(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def _features(self, rgb: U8) -> F32:
         """The tap of one picture, float32 (c, rows, cols). Errors: FitError."""
         cut = np.ascontiguousarray(self._region.crop(rgb))
         return np.asarray(self._reader.take(cut[None])[self._tap][0], np.float32)
 
     def _compare(
         self,
-        features: NDArray[np.float32],
-        rgb: NDArray[np.uint8],
-        mask: NDArray[np.bool_] | None,
+        features: F32,
+        rgb: U8,
+        mask: Mask | None,
         kept: KeptPress,
     ) -> None:
         self._shown = rgb

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.limits.threshold import pieces_of
+from edge.core.arrays import F32, F64, Mask
 from edge.core.binomial import CONFIDENCE, trials_needed, upper_rate
 
 __all__ = [
@@ -48,7 +49,7 @@ class Coverage:
     """The distance below which two cells show the same."""
     neighbours: NDArray[np.int64]
     """int (n, rows, cols), how many other pieces have a near press at each cell of each press."""
-    touched: NDArray[np.bool_]
+    touched: Mask
     """bool (rows, cols)."""
     pieces: int
     """The number of pieces; a press of an unknown piece counts as one."""
@@ -58,7 +59,7 @@ class Coverage:
         return len(self.neighbours) / self.pieces
 
     @property
-    def by_place(self) -> NDArray[np.float64]:
+    def by_place(self) -> F64:
         """The share of presses that show something new at each cell, float64 (rows, cols); nan where untouched."""
         return np.where(self.touched, (self.neighbours == 0).mean(axis=0), np.nan)
 
@@ -73,13 +74,13 @@ class Coverage:
         return float((self.neighbours[-1, self.touched] == 0).mean())
 
     @property
-    def curve(self) -> NDArray[np.float64]:
+    def curve(self) -> F64:
         """The unseen share after 1, 2, ... pieces, float64 (pieces,), averaged over all orders of the pieces."""
         counts = np.bincount(self.neighbours[:, self.touched].ravel(), minlength=self.pieces)
         return rarefied(counts / counts.sum())
 
 
-def rarefied(shares: NDArray[np.float64]) -> NDArray[np.float64]:
+def rarefied(shares: F64) -> F64:
     """The expected unseen share of every subset of 1 to n pieces, float64 (n,).
 
     shares: of cells with 0, 1, ... n - 1 near neighbours among n pieces, (n,). A cell with r of them is unseen in a
@@ -102,15 +103,15 @@ class PlaceDistances:
     """
 
     def __init__(self) -> None:
-        self._maps: list[NDArray[np.float32]] = []
+        self._maps: list[F32] = []
         self._pieces: list[str | None] = []
-        self._touched: NDArray[np.bool_] | None = None
+        self._touched: Mask | None = None
         self._distances = np.zeros((0, 0, 0, 0), np.float32)
 
     def add(
         self,
-        maps: NDArray[np.float32],
-        touched: NDArray[np.bool_] | None = None,
+        maps: F32,
+        touched: Mask | None = None,
         piece: str | None = None,
     ) -> None:
         """Add one press. maps: its features, float32 (c, rows, cols). touched: bool (h, w) of the frame, None where
@@ -146,7 +147,7 @@ class PlaceDistances:
         return Coverage(near, np.asarray(neighbours), self._touched, len(pieces))
 
 
-def _average_squares(maps: NDArray[np.float32]) -> NDArray[np.float32]:
+def _average_squares(maps: F32) -> F32:
     """Average over squares of cells, so that no side has more than MOST_CELLS; what does not fill a square is cut."""
     c, rows, cols = maps.shape
     side = -(-max(rows, cols) // MOST_CELLS)
@@ -155,7 +156,7 @@ def _average_squares(maps: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(blocks.mean(axis=(2, 4)), np.float32)
 
 
-def _in_cells(touched: NDArray[np.bool_], places: tuple[int, ...]) -> NDArray[np.bool_]:
+def _in_cells(touched: Mask, places: tuple[int, ...]) -> Mask:
     """Which cells hold a touched pixel."""
     rows, cols = np.nonzero(touched)
     found = np.zeros(places, np.bool_)
@@ -173,7 +174,7 @@ FARTHEST = 4
 """No forecast reaches farther than this many times the presses seen."""
 
 
-def fall(curve: NDArray[np.float64], step: float = ROUND) -> float:
+def fall(curve: F64, step: float = ROUND) -> float:
     """Predict by how much the next `step` pieces lower the unseen share.
 
     curve: the unseen share after 1, 2, ... n pieces, see `Coverage.curve`; n is at least 4.
@@ -181,7 +182,7 @@ def fall(curve: NDArray[np.float64], step: float = ROUND) -> float:
     return float(_falls(curve, np.array([len(curve)], np.float64), step)[0])
 
 
-def pays_until(curve: NDArray[np.float64], step: float = ROUND) -> int:
+def pays_until(curve: F64, step: float = ROUND) -> int:
     """The number of pieces, those seen included, from which on `step` more lower the unseen share by PAYS at most.
 
     At most FARTHEST times those seen. curve: as in `fall`.
@@ -192,7 +193,7 @@ def pays_until(curve: NDArray[np.float64], step: float = ROUND) -> int:
     return int(ahead[np.argmax(enough)]) if enough.any() else FARTHEST * n
 
 
-def _falls(curve: NDArray[np.float64], at: NDArray[np.float64], step: float) -> NDArray[np.float64]:
+def _falls(curve: F64, at: F64, step: float) -> F64:
     """The fall over a step after `at` pieces, by a power law with the slope of the curve's second half."""
     n, last = len(curve), float(curve[-1])
     if last <= 0:

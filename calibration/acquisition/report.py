@@ -2,9 +2,9 @@
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.acquisition.coverage import EARLIEST, LEAST, PAYS, ROUND, Coverage, Standing
+from edge.core.arrays import U8
 from edge.core.binomial import trials_needed
 from edge.core.printable import write_most
 from edge.pictures.heatmap import paint_scores
@@ -148,7 +148,7 @@ def signals(standing: Standing, file: str, source: str, piece: str | None) -> di
     }
 
 
-def coverage_png(coverage: Coverage, rgb: NDArray[np.uint8]) -> bytes:
+def coverage_png(coverage: Coverage, rgb: U8) -> bytes:
     """The share of presses that show something new, by place, over a press of the region, uint8 (h, w, 3).
 
     0 is black, half and more is pale yellow; grey is not touched.

@@ -4,9 +4,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from calibration.dataset.files import read_rgb
 from calibration.fitting.presses.nominal_presses import (
     is_recording,
@@ -20,6 +17,7 @@ from edge import registry
 from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from edge.cli.arguments import plugin_options
 from edge.config import load_config
+from edge.core.arrays import U8, Mask
 from edge.core.contact.settings import ContactSettings
 from edge.core.errors import DatasetError, FitError, FrameCorrupt, RecordingEnded
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
@@ -41,11 +39,11 @@ class Shown:
     """Where it is from."""
     payload: bytes
     """The picture's file."""
-    rgb: NDArray[np.uint8]
+    rgb: U8
     """uint8 (h, w, 3) in the profile's size."""
     piece: str | None = None
     """The piece; None where unknown."""
-    mask: NDArray[np.bool_] | None = None
+    mask: Mask | None = None
     """Where it touches in the contact view, bool (120, 160), None where the free gel is not known."""
     is_free: bool = False
     """Whether it is the gel without contact."""

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import U8, Mask
 from edge.core.errors import DatasetError, FrameCorrupt
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
@@ -73,7 +74,7 @@ def size_of(path: Path) -> tuple[int, int] | None:
     return None if pixels is None else (pixels.shape[1], pixels.shape[0])
 
 
-def read_rgb(path: Path, profile: SensorProfile | None = None, *, resize: bool = False) -> NDArray[np.uint8]:
+def read_rgb(path: Path, profile: SensorProfile | None = None, *, resize: bool = False) -> U8:
     """The picture, uint8 (h, w, 3), red green blue: in its own size, or as a profile shows it.
 
     With a profile, a picture of the camera's size is cropped and scaled by the profile, one of the profile's size is
@@ -124,7 +125,7 @@ def _jpeg_or_png(payload: bytes) -> bytes:
     return cv2.imencode(".png", pixels)[1].tobytes()
 
 
-def read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.bool_]:
+def read_mask(path: Path, size: tuple[int, int]) -> Mask:
     """The mask at (width, height), bool (h, w): any non-zero pixel is a defect; a finer mask is max-pooled.
 
     Errors: DatasetError when it is unreadable or its size is not an integer multiple of the wanted one.
@@ -137,7 +138,7 @@ def read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.bool_]:
         raise DatasetError(f"mask '{path}': {error}; export it at the size of its frame") from error
 
 
-def pool_mask(mask: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
+def pool_mask(mask: Mask, shape: tuple[int, int]) -> Mask:
     """Block-wise maximum of a mask, bool (h, w), down to `shape`: a block with any defect pixel is defective.
 
     A 1280x720 mask has 4x3 pixels per pixel of 320x240. Errors: ValueError unless the sizes are integer multiples.

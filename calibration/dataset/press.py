@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.dataset.files import read_mask, read_rgb
+from edge.core.arrays import F64, U8, Mask
 from edge.core.errors import DatasetError
 
 __all__ = [
@@ -64,7 +64,7 @@ class Runs:
 Shape = Polygon | Runs
 
 
-def rasterise(shapes: Sequence[Shape], size: tuple[int, int]) -> NDArray[np.bool_]:
+def rasterise(shapes: Sequence[Shape], size: tuple[int, int]) -> Mask:
     """The union of the shapes, bool (h, w), for a picture of (width, height); what is outside is cut off."""
     mask = np.zeros((size[1], size[0]), np.bool_)
     for shape in shapes:
@@ -75,7 +75,7 @@ def rasterise(shapes: Sequence[Shape], size: tuple[int, int]) -> NDArray[np.bool
     return mask
 
 
-def _fill(mask: NDArray[np.bool_], points: NDArray[np.float64]) -> None:
+def _fill(mask: Mask, points: F64) -> None:
     """Even-odd filling, row by row: between the first and second edge crossed, the third and fourth, and so on."""
     x0, y0 = points.T
     x1, y1 = np.roll(points, -1, axis=0).T
@@ -94,7 +94,7 @@ def _fill(mask: NDArray[np.bool_], points: NDArray[np.float64]) -> None:
         mask[row] |= inside
 
 
-def _paste(mask: NDArray[np.bool_], runs: Runs) -> None:
+def _paste(mask: Mask, runs: Runs) -> None:
     is_defect = np.arange(len(runs.counts)) % 2 == 1
     patch = np.repeat(is_defect, runs.counts).reshape(runs.height, runs.width)
     top, left = max(runs.top, 0), max(runs.left, 0)
@@ -127,11 +127,11 @@ class LabelledPress:
     def is_defective(self) -> bool:
         return self.defect is not None
 
-    def rgb(self) -> NDArray[np.uint8]:
+    def rgb(self) -> U8:
         """The frame, uint8 (h, w, 3). Errors: DatasetError when the file is broken."""
         return read_rgb(self.path)
 
-    def mask(self) -> NDArray[np.bool_]:
+    def mask(self) -> Mask:
         """Give the pixels of the defect, bool (h, w) of the frame. Errors: DatasetError when the file is broken."""
         if self.mask_file is not None:
             return read_mask(self.mask_file, self.size)
@@ -204,9 +204,7 @@ def split_by_specimen(presses: Sequence[LabelledPress], held_out: float, seed: i
     )
 
 
-def empty_masks(
-    where: str, defective: Sequence[LabelledPress], masks: Iterable[NDArray[np.bool_]]
-) -> list[str]:
+def empty_masks(where: str, defective: Sequence[LabelledPress], masks: Iterable[Mask]) -> list[str]:
     """A sentence if some defective presses show no damage. masks: of the inspected region, bool (h, w) each."""
     empty = [press.path.name for press, mask in zip(defective, masks, strict=True) if not mask.any()]
     if not empty:

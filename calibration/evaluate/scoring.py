@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.dataset import Dataset, LabelledPress, open_dataset, resolution_of
 from calibration.dataset.press import empty_masks, repeated_pictures
 from calibration.metrics.summary import Measure, measure
 from calibration.progress import Show
 from calibration.threads import one_blas_thread
+from edge.core.arrays import F32, Mask
 from edge.core.errors import DatasetError, NotScorable
 from edge.core.registration.pose import Pose
 from edge.core.verdict import Kind
@@ -31,8 +31,8 @@ class ScoredPress:
     """One press with its map, float32 (h, w) of the region, and its mask in the same pixels."""
 
     press: LabelledPress
-    score_map: NDArray[np.float32]
-    mask: NDArray[np.bool_]
+    score_map: F32
+    mask: Mask
     anomaly_score: float
     trunk_ms: float
     head_ms: float

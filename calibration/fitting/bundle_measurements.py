@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import onnxruntime as ort
-from numpy.typing import NDArray
 
 from calibration.fitting.limits.threshold import count_needed, pieces_of
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from calibration.fitting.presses.strangers import find_copies
+from edge.core.arrays import F64, U8
 from edge.core.detector import Bank, Detector, KeepsMean
 from edge.core.errors import FitError, NotScorable
 from edge.core.imaging.quality import NominalContact, NominalStrength
@@ -58,9 +58,7 @@ LEAST_AREA_SHARE = 0.5
 PAINTED_LEVEL = 40
 
 
-def golden_frames(
-    scorer: Scorer, frames: NDArray[np.uint8], scores: NDArray[np.float64] | None = None
-) -> list[GoldenFrame]:
+def golden_frames(scorer: Scorer, frames: U8, scores: F64 | None = None) -> list[GoldenFrame]:
     """The nominal frames of middle and highest score, and a painted one, so that a high score is checked as well.
 
     frames: uint8 (n, h, w, 3), in the bank's pose. scores: of the nominal presses, (n,); None where none are known.
@@ -82,7 +80,7 @@ def golden_frames(
     ]
 
 
-def _paint(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _paint(rgb: U8) -> U8:
     """The frame with a dark square of an eighth of its side in the middle."""
     h, w = rgb.shape[:2]
     painted, half = rgb.copy(), max(1, min(h, w) // 16)
@@ -116,9 +114,7 @@ def measure_tolerance(scorer: Scorer, golden: Sequence[GoldenFrame], threads: in
     )
 
 
-def cost_card(
-    scorer: Scorer, frames: NDArray[np.uint8], threads: int, seconds: Mapping[str, float]
-) -> CostCard:
+def cost_card(scorer: Scorer, frames: U8, threads: int, seconds: Mapping[str, float]) -> CostCard:
     """Medians over nine frames. seconds: of the stages `features`, `fit` and `threshold`, where they took place."""
     runs = [scorer.score_in_pose(frames[k % len(frames)]) for k in range(9)]
     entries = scorer.bundle.manifest.bank.values()

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting import bundle_measurements as measuring
 from calibration.fitting.bundle_measurements import golden_frames, measure_tolerance, score_again
@@ -20,6 +19,7 @@ from calibration.fitting.presses.colours import colour_warnings, nominal_colours
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.preparation import smooth_presses, take_out_dots
 from calibration.fitting.self_check import apart_warnings, black_warnings
+from edge.core.arrays import F64
 from edge.core.contact.wear import wear
 from edge.core.errors import FitError, PoseNotFound
 from edge.core.imaging.sensor_check import colour_cells, is_other_kind
@@ -100,7 +100,7 @@ def _weigh_relief(bundle: Bundle, unit: float) -> Bundle:
     return replace(bundle, bank={**bundle.bank, _UNIT: np.full((1, 1), unit, np.float32)})
 
 
-def _check_relief(scorer: Scorer, presses: NominalPresses, scores: NDArray[np.float64], limit: float) -> None:
+def _check_relief(scorer: Scorer, presses: NominalPresses, scores: F64, limit: float) -> None:
     """Check that no press lacks relief. scores: without that check. Errors: FitError."""
     is_lacking = (_scores(scorer, presses) > limit) & (scores <= limit)
     if lacking := [presses.names[k] for k in np.flatnonzero(is_lacking)]:
@@ -197,7 +197,7 @@ def _misplaced(bundle: Bundle, presses: NominalPresses) -> Sequence[str]:
     ]
 
 
-def _scores(scorer: Scorer, presses: NominalPresses) -> NDArray[np.float64]:
+def _scores(scorer: Scorer, presses: NominalPresses) -> F64:
     scores = []
     for name, frame in zip(presses.names, presses.frames, strict=True):
         try:
@@ -207,7 +207,7 @@ def _scores(scorer: Scorer, presses: NominalPresses) -> NDArray[np.float64]:
     return np.array(scores)
 
 
-def _check_change(before: NDArray[np.float64], now: NDArray[np.float64]) -> None:
+def _check_change(before: F64, now: F64) -> None:
     middle = float(np.median(before))
     if not middle > 0:
         raise FitError(
@@ -224,7 +224,7 @@ def _check_change(before: NDArray[np.float64], now: NDArray[np.float64]) -> None
 
 
 def _threshold(
-    old: ThresholdEntry, presses: NominalPresses, scores: NDArray[np.float64], tolerance: ToleranceEntry
+    old: ThresholdEntry, presses: NominalPresses, scores: F64, tolerance: ToleranceEntry
 ) -> ThresholdEntry:
     """Find the threshold, which promises what the new presses alone show: the bank has not seen them."""
     slack = tolerance.around(float(scores.max()))

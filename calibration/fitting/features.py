@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import onnxruntime as ort
-from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64, U8, Mask
 from edge.core.detector import Features, Grid, Nominal, Progress
 from edge.core.errors import FitError
 from edge.core.imaging.tiles import TILES_KEY, Tiles
@@ -69,7 +69,7 @@ def _tiles(session: ort.InferenceSession, frame: tuple[int, int]) -> Tiles | Non
 
 def extract(
     session: ort.InferenceSession,
-    frames: NDArray[np.uint8],
+    frames: U8,
     grid: Grid,
     progress: Progress,
     memory_bytes: int = MEMORY_BYTES,
@@ -115,7 +115,7 @@ def feature_warnings(nominal: Nominal, grid: Grid) -> list[str]:
     return found
 
 
-def _spread(maps: NDArray[np.float32], cells: NDArray[np.bool_]) -> tuple[float, NDArray[np.float64]]:
+def _spread(maps: F32, cells: Mask) -> tuple[float, F64]:
     """Sum over channels of mean squares, and each channel's mean variance between presses, (c,), both relative to the
     largest value. maps: (n, c, cells). cells: those that count."""
     top = max(float(maps.max()), -float(maps.min())) or 1.0
@@ -127,7 +127,7 @@ def _spread(maps: NDArray[np.float32], cells: NDArray[np.bool_]) -> tuple[float,
     return power, variance
 
 
-def _of_tiles(runner: TileRunner, frame: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
+def _of_tiles(runner: TileRunner, frame: U8) -> list[F32]:
     """The mosaics (1, c, h, w) of one frame, every tile run."""
     mosaics = TiledMaps(runner, 1)
     try:
@@ -137,7 +137,7 @@ def _of_tiles(runner: TileRunner, frame: NDArray[np.uint8]) -> list[NDArray[np.f
     return list(mosaics.arrays.values())
 
 
-def _room(shape: tuple[int, ...], memory_bytes: int) -> NDArray[np.float32]:
+def _room(shape: tuple[int, ...], memory_bytes: int) -> F32:
     """An empty array; a large one is in a file that is deleted with it."""
     if 4 * int(np.prod(shape)) <= memory_bytes:
         return np.empty(shape, np.float32)
@@ -145,9 +145,7 @@ def _room(shape: tuple[int, ...], memory_bytes: int) -> NDArray[np.float32]:
         return np.memmap(file, np.float32, "w+", shape=shape)
 
 
-def _run(
-    session: ort.InferenceSession, taps: list[str], frames: NDArray[np.uint8]
-) -> list[NDArray[np.float32]]:
+def _run(session: ort.InferenceSession, taps: list[str], frames: U8) -> list[F32]:
     try:
         return list(session.run(taps, {"frames": frames}))
     except RUNTIME_ERRORS as error:

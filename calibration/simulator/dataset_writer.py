@@ -19,7 +19,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.dataset.files import pool_mask
 from calibration.dataset.opening import DATASET_VERSION, SUMMARY_FILE
@@ -32,7 +31,7 @@ from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.scene import Scene, change_counts
 from calibration.simulator.streams import Streams
 from calibration.simulator.workers import in_order
-from edge.core.arrays import U8
+from edge.core.arrays import U8, Mask
 from edge.core.detector import Progress
 from edge.core.errors import ConfigError, DatasetError, StoreError
 
@@ -194,7 +193,7 @@ def press_pictures(scene: Scene, plan: PressPlan, seed: int) -> Iterator[tuple[s
             yield "mask_320x240", _as_mask(pool_mask(mask, LR.shape))
 
 
-def _as_mask(mask: NDArray[np.bool_]) -> U8:
+def _as_mask(mask: Mask) -> U8:
     return mask.astype(np.uint8) * np.uint8(255)
 
 

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.folders import write_atomically
 from calibration.quantise import quantise_graph
 from calibration.training.train_config import STAGES
+from edge.core.arrays import U8
 from edge.core.errors import GelgateError
 from edge.model.session import open_session
 from plugins.backbones.resnet import build_trunk
@@ -92,7 +92,7 @@ def _facts(graph: bytes, plain: bytes) -> dict[str, Any]:
     }
 
 
-def calibration_frames(purpose: str, batches: int) -> Iterator[NDArray[np.uint8]]:
+def calibration_frames(purpose: str, batches: int) -> Iterator[U8]:
     """Batches of frames uint8 (n, 224, 224, 3) from separate streams, every fourth at high resolution."""
     from calibration.training.training_pairs import draw_pairs
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from calibration.fitting.features import trunk_grid
 from calibration.fitting.trunks import Trunk
 from edge import registry
+from edge.core.arrays import F32, F64
 from edge.core.detector import Bank, Features, Grid, Packing
 from edge.core.errors import ConfigError, FitError
 from edge.model.graph_cut import cut_trunk
@@ -84,7 +85,7 @@ class Settings:
         """Make a bank, of which these arrays are stored as the caller wants."""
         return Bank(arrays, {} if self.packing == "none" else dict.fromkeys(packed, self.packing))
 
-    def centred_bank(self, rows: NDArray[np.float32], width: int | None = None) -> Bank:
+    def centred_bank(self, rows: F32, width: int | None = None) -> Bank:
         """Make a bank of rows minus their mean, and the mean. width: the first columns alone, None for all."""
         mean = rows[:, :width].mean(axis=0, dtype=np.float64).astype(np.float32)
         centred = rows.copy()
@@ -127,7 +128,7 @@ class Imported:
     """Facts for the manifest, plain JSON."""
     says: tuple[str, ...] = ()
     """Sentences for the user."""
-    exact: Callable[[Features], tuple[NDArray[np.float64], NDArray[np.float64]]] | None = None
+    exact: Callable[[Features], tuple[F64, F64]] | None = None
     """Distances of some cells from features, by the file's own full form (n, cells) and by the bank.
 
     They are squared or plain, and measure what a reduction costs. None where nothing is reduced.

@@ -8,9 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from edge.core.arrays import F64
 from edge.core.detector import Grid
 from edge.core.errors import ConfigError
 from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT, HalvedBank
@@ -64,7 +62,7 @@ class Framing:
         resized = self.resize or self.frame
         return self.size[0] * self.size[1] / (resized[0] * resized[1])
 
-    def back(self, axis: int) -> NDArray[np.float64]:
+    def back(self, axis: int) -> F64:
         """Draw one axis of a map of the input in the frame: (frame pixels, input pixels). Beyond the crop nothing is
         seen, and the map is 0, the lowest distance."""
         count, resized = self.size[axis], (self.resize or self.frame)[axis]

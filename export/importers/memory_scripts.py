@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32
 from edge.core.detector import Grid, Nominal
 from edge.core.errors import ConfigError, FitError
 from export.importers.contract import Imported, Recognised, Settings, require
@@ -158,7 +159,7 @@ def _layers(table: Mapping[Any, Any]) -> tuple[str, ...]:
     return tuple(maps) if maps and len(maps) == len(names) and set(table) <= {*maps, "avgpool"} else ()
 
 
-def _features(path: Path, tap: str, value: Any, grid: Grid) -> NDArray[np.float32]:
+def _features(path: Path, tap: str, value: Any, grid: Grid) -> F32:
     """A layer's features (n, c, h, w), from one array or a list of arrays. Errors: ConfigError."""
     c, h, w = grid.taps[tap]
     if isinstance(value, list):
@@ -175,7 +176,7 @@ def _features(path: Path, tap: str, value: Any, grid: Grid) -> NDArray[np.float3
     return float32(check_array(path, tap, value, None, c, h, w))
 
 
-def _is_unit_length(path: Path, settings: Settings, features: NDArray[np.float32]) -> bool:
+def _is_unit_length(path: Path, settings: Settings, features: F32) -> bool:
     """Tell whether descriptors are divided by their length. Errors: ConfigError where nothing says so."""
     lengths = np.sqrt(np.einsum("nchw,nchw->nhw", features, features))
     if "is_normalised" in settings.values:

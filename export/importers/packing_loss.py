@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import count_stored
 from calibration.fitting.features import extract
 from calibration.fitting.fit import Fitted
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.progress import Report
+from edge.core.arrays import F64, U8
 from edge.core.detector import Bank
 from edge.core.errors import BundleCorrupt
 from edge.model.bundle import Bundle, Graphs
@@ -79,7 +79,7 @@ def import_files(
     facts = {"backbone": dict(trunk.facts), **config.facts, "imported": origin, "warnings": []}
     measured: list[Losses] = []
 
-    def measure(scorer: Scorer, scores: NDArray[np.float64]) -> tuple[list[str], Mapping[str, Any]]:
+    def measure(scorer: Scorer, scores: F64) -> tuple[list[str], Mapping[str, Any]]:
         losses = _measure_losses(model, presses.frames[:COMPARED_PRESSES], scorer, config.threads, source)
         measured.append(losses)
         sha256 = file_sha256(source)
@@ -90,9 +90,7 @@ def import_files(
     return fitted, measured[0]
 
 
-def _measure_losses(
-    model: Imported, frames: NDArray[np.uint8], scorer: Scorer, threads: int, source: Path
-) -> Losses:
+def _measure_losses(model: Imported, frames: U8, scorer: Scorer, threads: int, source: Path) -> Losses:
     """Measure what the smaller bank costs. Errors: BundleCorrupt where packing changes maps or scores too much."""
     arrays, packing = model.bank.arrays, model.bank.packing
     stored = count_stored(model.bank)
@@ -115,9 +113,7 @@ def _measure_losses(
     return Losses(reduction, of_score, of_map, order, stored, used)
 
 
-def _measure_reduction(
-    model: Imported, frames: NDArray[np.uint8], threads: int, source: Path
-) -> float | None:
+def _measure_reduction(model: Imported, frames: U8, threads: int, source: Path) -> float | None:
     if model.exact is None:
         return None
     session = open_session(model.trunk.graph, threads, f"the trunk of {source}")

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64
 from edge.core.detector import Bank, Features, Grid
 from edge.core.errors import ConfigError
 from export.importers.contract import Settings
@@ -57,8 +58,8 @@ class Gaussians:
 class Reduced:
     """basis (m, r, d) float32, weights (m, r) float32, both as in a PaDiM bank."""
 
-    basis: NDArray[np.float32]
-    weights: NDArray[np.float32]
+    basis: F32
+    weights: F32
     ridge: float
     rank: int
     """Directions that differ from the ridge, of the cell that has most."""
@@ -94,7 +95,7 @@ def reduce_matrices(given: Gaussians, rank: int | None) -> Reduced:
     return Reduced(_pad(rows), _pad_weights(values, bottom), bottom, needed, loss)
 
 
-def _spectrum(given: Gaussians, part: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _spectrum(given: Gaussians, part: slice) -> tuple[F64, F64]:
     """Eigenvalues (m, d) of the covariances with their ridge, and eigenvectors as columns. Errors: ConfigError."""
     matrices, where = np.asarray(given.dense(part), np.float64), f"{given.path}: '{given.name}' holds"
     if not np.isfinite(matrices).all():
@@ -110,7 +111,7 @@ def _spectrum(given: Gaussians, part: slice) -> tuple[NDArray[np.float64], NDArr
     return (1 / values if given.is_inverse else values), vectors
 
 
-def _cut(spread: NDArray[np.float64], ridge: float, dtype: np.dtype[Any]) -> NDArray[np.float64]:
+def _cut(spread: F64, ridge: float, dtype: np.dtype[Any]) -> F64:
     """Limit how far from 1 an eigenvalue over the ridge may be and still count as ridge, (m, 1)."""
     condition = spread.max(axis=1, keepdims=True) / ridge
     digit = np.finfo(dtype if dtype.kind == "f" else np.float64).epsneg
@@ -134,13 +135,13 @@ def _ridge(given: Gaussians) -> float:
     return float(np.nanmedian(np.where(spread <= limits, spread, np.nan)))
 
 
-def _pad(rows: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+def _pad(rows: list[F32]) -> F32:
     """Blocks of different ranks as one array, with directions of zeros."""
     rank = max(block.shape[1] for block in rows)
     return np.concatenate([np.pad(block, ((0, 0), (0, rank - block.shape[1]), (0, 0))) for block in rows])
 
 
-def _pad_weights(values: list[NDArray[np.float64]], ridge: float) -> NDArray[np.float32]:
+def _pad_weights(values: list[F64], ridge: float) -> F32:
     rank = max(block.shape[1] for block in values)
     padded = [np.pad(block, ((0, 0), (0, rank - block.shape[1])), constant_values=ridge) for block in values]
     return (1 / np.concatenate(padded)).astype(np.float32)
@@ -153,7 +154,7 @@ class PadimParts:
     head: bytes
     bank: Bank
     reduction: Reduced
-    exact: Callable[[Features], tuple[NDArray[np.float64], NDArray[np.float64]]]
+    exact: Callable[[Features], tuple[F64, F64]]
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -202,9 +203,7 @@ def _embedding(given: Gaussians, grid: Grid) -> Embedding:
     return Embedding(choice, grid, split_channels(chosen, given.layers, grid))
 
 
-def _both(
-    embedding: Embedding, given: Gaussians, thin: Reduced, features: Features
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _both(embedding: Embedding, given: Gaussians, thin: Reduced, features: Features) -> tuple[F64, F64]:
     """Distances (n, cells) of some cells by the file's matrices and by the bank."""
     cells, stored = _some(given, COMPARED_CELLS)
     delta, matrices = embedding.numpy(features).at(cells) - given.mean[cells, None], stored.astype(np.float64)

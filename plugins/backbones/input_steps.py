@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F64, U8
 from edge.core.errors import ConfigError
 from plugins.onnx_builder import Graph, Value
 
@@ -31,7 +31,7 @@ class InputSteps:
     """(h, w) to resize to, linear; None keeps the frame's."""
     crop: tuple[int, int] | None = None
     """(h, w) of the middle that remains after that; None keeps all."""
-    background: NDArray[np.uint8] | None = None
+    background: U8 | None = None
     """uint8 (h, w, 3), the picture without contact, which is subtracted."""
     offset: float = 0.0
     """It is added after the subtraction, with the result limited to 0..1."""
@@ -64,7 +64,7 @@ class InputSteps:
             steps.append(f"the settled frame {self.copies} times")
         return "; ".join(steps)
 
-    def resampling(self, frame: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    def resampling(self, frame: tuple[int, int]) -> tuple[F64, F64] | None:
         """Give the matrices (h', h) and (w', w) of resize and crop; None where the frame stays as it is.
 
         Fixed matrices: runtimes differ in how they resize with antialiasing at the border.
@@ -115,7 +115,7 @@ def input_planes(graph: Graph, steps: InputSteps, frame: tuple[int, int] | None 
     return x if steps.copies == 1 else graph.op("Concat", *[x] * steps.copies, axis=1)
 
 
-def apply_steps(steps: InputSteps, frames: NDArray[np.uint8]) -> NDArray[np.float64]:
+def apply_steps(steps: InputSteps, frames: U8) -> F64:
     """Do the same in NumPy: uint8 (n, h, w, 3) to float64 (n, 3 x copies, h', w')."""
     x = frames.astype(np.float64)
     if steps.background is not None:
@@ -130,15 +130,15 @@ def apply_steps(steps: InputSteps, frames: NDArray[np.uint8]) -> NDArray[np.floa
     return np.concatenate([planes] * steps.copies, axis=1)
 
 
-def linear_matrix(source: int, target: int, is_antialiased: bool = True) -> NDArray[np.float64]:
+def linear_matrix(source: int, target: int, is_antialiased: bool = True) -> F64:
     """Linear resampling as a matrix (target, source)."""
     return _resampling(source, target, lambda x: np.clip(1 - np.abs(x), 0, None), is_antialiased)
 
 
-def cubic_matrix(source: int, target: int) -> NDArray[np.float64]:
+def cubic_matrix(source: int, target: int) -> F64:
     """Bicubic resampling (a = -1/2) with antialiasing as a matrix (target, source)."""
 
-    def kernel(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def kernel(x: F64) -> F64:
         x = np.abs(x)
         near = (1.5 * x - 2.5) * x**2 + 1
         far = ((-0.5 * x + 2.5) * x - 4) * x + 2
@@ -150,9 +150,9 @@ def cubic_matrix(source: int, target: int) -> NDArray[np.float64]:
 def _resampling(
     source: int,
     target: int,
-    kernel: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    kernel: Callable[[F64], F64],
     is_antialiased: bool = True,
-) -> NDArray[np.float64]:
+) -> F64:
     """Weigh input pixels by a kernel; rows sum to 1 at the border too.
 
     With antialiasing the kernel is widened to an output pixel where pixels become fewer.
@@ -160,7 +160,7 @@ def _resampling(
     scale = source / target
     centres = (np.arange(target) + 0.5) * scale - 0.5
     weights = kernel((np.arange(source) - centres[:, None]) / (max(scale, 1.0) if is_antialiased else 1.0))
-    matrix: NDArray[np.float64] = weights / weights.sum(axis=1, keepdims=True)
+    matrix: F64 = weights / weights.sum(axis=1, keepdims=True)
     return matrix
 
 

@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32
 from plugins.backbones.input_steps import IMAGENET
 from plugins.backbones.reference import forward
 from plugins.backbones.resnet import NORM_EPS, TAPS, build_trunk
@@ -60,7 +61,7 @@ def random_state(topology_name: str, seed: int = 0) -> State:
     So every channel before its ReLU has about mean 0 and variance 1, through all depths. Errors: ConfigError.
     """
     rng = np.random.default_rng(seed)
-    state: dict[str, NDArray[np.float32]] = {}
+    state: dict[str, F32] = {}
     for name, shape in list_shapes(topology(topology_name)).items():
         if len(shape) == 4:
             fan_in = shape[1] * shape[2] * shape[3]
@@ -82,7 +83,7 @@ def random_state(topology_name: str, seed: int = 0) -> State:
     return state
 
 
-def _smooth_pictures(rng: np.random.Generator) -> NDArray[np.float32]:
+def _smooth_pictures(rng: np.random.Generator) -> F32:
     """Normalised planes float32 (4, 3, 64, 64): noise at three scales, as lit relief has."""
     planes = np.zeros((4, 3, 64, 64))
     for size in (4, 16, 64):

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F64
 from edge.core.errors import ConfigError
 from plugins.backbones.input_steps import IMAGENET, InputSteps, input_planes
 from plugins.backbones.topology import Conv, State, Topology, check_state, last_block, topology
@@ -64,9 +65,7 @@ def build_trunk(
     return builder.graph.serialise({"topology": topology_name, **colours, **(facts or {})})
 
 
-def folded(
-    state: State, conv: str, norm: str, eps: float = NORM_EPS
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def folded(state: State, conv: str, norm: str, eps: float = NORM_EPS) -> tuple[F64, F64]:
     """Weights (out, in, k, k) and bias (out,) of a convolution with its batch norm folded in, float64."""
     gamma, beta, mean, var = (
         np.asarray(state[f"{norm}.{part}"], np.float64)

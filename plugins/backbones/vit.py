@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F32
 from edge.core.errors import ConfigError
 from plugins.backbones.input_steps import cubic_matrix
 from plugins.backbones.topology import State, refuse_faults, refuse_infinite
@@ -111,9 +111,7 @@ def check_vit_taps(taps: Sequence[str], shape: VitShape, state: State) -> None:
         )
 
 
-def prefix_tokens(
-    state: State, shape: VitShape, grid: tuple[int, int]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def prefix_tokens(state: State, shape: VitShape, grid: tuple[int, int]) -> tuple[F32, F32]:
     """The prefix tokens (prefixes, d) with their positions added, and the positions of the patches (rows * columns, d).
 
     Class and distillation tokens come first, then the registers. Positions of another grid are resampled (bicubic).

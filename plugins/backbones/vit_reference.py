@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F64
 from plugins.backbones.topology import State
 from plugins.backbones.vit import VitShape, prefix_tokens
 from plugins.backbones.vit_trunk import patch_grid
 
 __all__ = ["vit_forward"]
 
-Array = NDArray[np.float64]
+Array = F64
 
 # erf by Abramowitz and Stegun 7.1.26 errs by 1.5e-7: less than float32 does.
 _P, _A = 0.3275911, (0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429)

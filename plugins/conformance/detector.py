@@ -10,6 +10,7 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32
 from edge.core.detector import Bank, Detector, Features, Grid, HasReference, Nominal, ScoreMaps
 from edge.core.errors import FitError
 from edge.model.onnx_validation import check_graph
@@ -215,7 +216,7 @@ def with_damage(features: Features) -> Features:
     return changed
 
 
-def with_value(case: DetectorCase, n: int, value: float) -> Mapping[str, NDArray[np.float32]]:
+def with_value(case: DetectorCase, n: int, value: float) -> Mapping[str, F32]:
     """n presses; the first has this value once in every tap."""
     features = {tap: maps.copy() for tap, maps in case.presses(n, 3).items()}
     for maps in features.values():

@@ -11,10 +11,10 @@ from typing import Any, Final, Literal
 import cv2
 import numpy as np
 import onnx.parser
-from numpy.typing import NDArray
 
 from edge.clock import ManualClock
 from edge.config import load_config
+from edge.core.arrays import F32
 from edge.core.errors import RecordingEnded
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
@@ -140,7 +140,7 @@ def _film(presses: tuple[str, ...]) -> list[bytes]:
     return film
 
 
-def _draw(depth: float, is_damaged: bool) -> NDArray[np.float32]:
+def _draw(depth: float, is_damaged: bool) -> F32:
     """A frame (h, w, 3): a gel, and a ribbed part pressed into it by `depth`, 0 to 1."""
     y, x = np.mgrid[0 : _SIZE[1], 0 : _SIZE[0]].astype(np.float32)
     ribs = 60 * depth * np.sin(y / 3) * (((x - 160) / 70) ** 2 + ((y - 120) / 80) ** 2 < 1)

@@ -6,9 +6,9 @@ One picture is made for each press. It does not simulate a lens, light, motion o
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, Field, model_validator
 
+from edge.core.arrays import U8
 from edge.core.errors import DeviceLost
 from edge.core.imaging.frames import CameraFrame
 from edge.core.plugins import DevicePlugin
@@ -85,7 +85,7 @@ class VirtualOverview(DevicePlugin[VirtualOverviewOptions]):
 plugin = VirtualOverview()
 
 
-def _draw(text: str, kind: str, seed: int) -> NDArray[np.uint8]:
+def _draw(text: str, kind: str, seed: int) -> U8:
     """Draw a picture, uint8 (h, w). No two are the same: the noise is drawn from the seed."""
     w, h = IDENTITY.mode
     clean = np.full((h, w), TABLE, np.float32)

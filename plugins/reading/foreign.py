@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32
 from edge.core.errors import ConfigError
 
 __all__ = ["Content", "Foreign", "Record", "attributes", "check_array", "describe", "float32"]
@@ -88,7 +89,7 @@ def _is_number(value: Content) -> bool:
     return isinstance(value, int | float) or (isinstance(value, np.ndarray) and value.ndim == 0)
 
 
-def float32(array: NDArray[Any]) -> NDArray[np.float32]:
+def float32(array: NDArray[Any]) -> F32:
     """Convert to single precision, contiguous; numbers too small for it become 0."""
     with np.errstate(under="ignore"):
         return np.ascontiguousarray(array, np.float32)

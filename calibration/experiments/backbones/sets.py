@@ -14,7 +14,6 @@ from functools import partial
 from importlib.resources import files
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.simulator import parts as analogues
@@ -27,7 +26,7 @@ from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.scene import Defects, NominalPieces, Scene, paper_scenes
 from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.streams import Streams
-from edge.core.arrays import F32
+from edge.core.arrays import F32, U8, Mask
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 
@@ -57,9 +56,9 @@ class Trial:
 
     name: str
     nominal: NominalPresses
-    frames: NDArray[np.uint8]
+    frames: U8
     """uint8 (n, h, w, 3)."""
-    masks: NDArray[np.bool_]
+    masks: Mask
     """bool (n, h, w), all False for an undamaged press."""
 
 
@@ -191,7 +190,7 @@ class _Rendered:
     def _is_learnt(self, plan: PressPlan) -> bool:
         return not plan.kind and plan.specimen <= self.sizes.pieces - self.sizes.held_out
 
-    def _press(self, plan: PressPlan) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    def _press(self, plan: PressPlan) -> tuple[U8, Mask]:
         """Render a press, and where it shows damage, all False on a sound piece."""
         condition, scene = self.condition, self.scene
         piece = analogues.specimen(self.shape, self.streams("specimen", scene.part, plan.specimen))

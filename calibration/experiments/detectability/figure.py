@@ -5,12 +5,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.experiments.detectability.pod import Pod
 from calibration.experiments.detectability.results import KindResult
 from calibration.experiments.detectability.study import Place, Plan
 from calibration.simulator.field_of_view import grids
+from edge.core.arrays import F32, Mask
 
 __all__ = ["draw_map"]
 
@@ -89,7 +89,7 @@ def _word(pod: Pod) -> str:
     return f"{pod.a90_95_mm:.{2 if pod.a90_95_mm >= 0.1 else 3}f}".lstrip("0")
 
 
-def _middle(planned: Plan, place: Place, contact: NDArray[np.bool_]) -> tuple[float, float]:
+def _middle(planned: Plan, place: Place, contact: Mask) -> tuple[float, float]:
     """The middle of what is touched of a place, in mm."""
     cell = planned.grid.pixels(place)
     if not contact[cell].any():
@@ -98,7 +98,7 @@ def _middle(planned: Plan, place: Place, contact: NDArray[np.bool_]) -> tuple[fl
     return x, y
 
 
-def _mean_press(planned: Plan) -> NDArray[np.float32]:
+def _mean_press(planned: Plan) -> F32:
     """The presses' mean in grey, with the contrast of their relief stretched, (h, w)."""
     mean = np.mean([press.rgb for press in planned.presses.values()], axis=0, dtype=np.float64)
     grey = np.asarray(mean.mean(axis=2), np.float32)

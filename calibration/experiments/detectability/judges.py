@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.fitting.damage.damage import KINDS, Damage, Spot, surroundings
 from calibration.fitting.damage.rendering import EditedPress
@@ -17,6 +16,7 @@ from calibration.fitting.presses.augmentation import Copies
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.preparation import prepare_as
 from edge import registry
+from edge.core.arrays import U8
 from edge.core.detector import Nominal
 from edge.core.errors import DatasetError, PoseNotFound
 from edge.core.printable import write_count
@@ -64,7 +64,7 @@ class Judge:
     manifest: Manifest
     """The manifest with the limit and its tolerance."""
 
-    def passes(self, rgb: NDArray[np.uint8]) -> bool:
+    def passes(self, rgb: U8) -> bool:
         """Say whether the press passes as it is. Errors: NotScorable."""
         return self._result(self.scorer.score(rgb)) is Result.PASS
 

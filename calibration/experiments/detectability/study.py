@@ -10,7 +10,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.experiments.detectability.judges import MIN_PRESSES, Judge, choose_judges
 from calibration.fitting.damage.damage import KINDS, Spot
@@ -20,6 +19,7 @@ from calibration.fitting.presses.colours import refuses
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.simulator.field_of_view import CROP_MM, Field, grids
 from calibration.threads import one_blas_thread
+from edge.core.arrays import Mask
 from edge.core.errors import DatasetError, NotScorable
 from edge.model.bundle import Bundle
 from edge.model.detectability import JudgedBy
@@ -66,11 +66,11 @@ class PlaceGrid:
         down, across = (slice(round(k * size / n), round((k + 1) * size / n)) for k, n, size in sides)
         return down, across
 
-    def touched(self, contact: NDArray[np.bool_], place: Place) -> bool:
+    def touched(self, contact: Mask, place: Place) -> bool:
         """Say whether a press with this contact, bool (h, w), touches the place."""
         return bool(contact[self.pixels(place)].mean() >= _TOUCHED_SHARE)
 
-    def spot(self, contact: NDArray[np.bool_], place: Place, rng: np.random.Generator) -> Spot | None:
+    def spot(self, contact: Mask, place: Place, rng: np.random.Generator) -> Spot | None:
         """A spot in the place where the press touches, with any direction; None where it does not touch it."""
         cell = self.pixels(place)
         if not self.touched(contact, place):
@@ -80,7 +80,7 @@ class PlaceGrid:
         return Spot(float(x[pick]), float(y[pick]), float(rng.uniform(0, math.pi)))
 
 
-def touched_places(grid: PlaceGrid, contacts: Sequence[NDArray[np.bool_]]) -> tuple[Place, ...]:
+def touched_places(grid: PlaceGrid, contacts: Sequence[Mask]) -> tuple[Place, ...]:
     """The places that at least half of the presses touch, row by row. contacts: bool (h, w) each."""
     return tuple(
         place

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 
+from edge.core.arrays import F64
 from edge.core.errors import ConfigError, DatasetError
 from edge.store.study_presses import StudyPress
 from edge.store.ulid import new_ulid
@@ -144,7 +145,7 @@ class Material:
     plan: StudyPlan
     pieces: tuple[str, ...]
     operators: tuple[str, ...]
-    scores: NDArray[np.float64]
+    scores: F64
     """float64 (pieces, operators, repeats)."""
     verdicts: NDArray[np.str_]
     """The verdicts in the same table."""

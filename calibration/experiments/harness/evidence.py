@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.experiments.harness.published import paper_medians
+from edge.core.arrays import F64
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -56,7 +56,7 @@ Span = tuple[float, float]
 ANY: Span = (-math.inf, math.inf)
 
 
-def mean_interval(values: NDArray[np.float64], span: Span = ANY) -> Span:
+def mean_interval(values: F64, span: Span = ANY) -> Span:
     """Return the 95 % interval of the mean of values (n,), by Student's t; nan where there are too few.
 
     span: the range of the values. With both ends, the interval is computed for the logit of the mean, with the lowest

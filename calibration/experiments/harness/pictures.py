@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from calibration.dataset import SIZES, LabelledPress
 from calibration.fitting.trunks import Trunk
+from edge.core.arrays import U8, Mask
 from edge.core.errors import DatasetError
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
 from edge.core.imaging.region import Region
@@ -39,7 +40,7 @@ class View:
         """(h, w) of the region."""
         return self.region.height, self.region.width
 
-    def rgb(self, press: LabelledPress) -> NDArray[np.uint8]:
+    def rgb(self, press: LabelledPress) -> U8:
         """uint8 (h, w, 3). Errors: DatasetError for a broken file, or one of another size."""
         if press.size != self.size:
             raise DatasetError(
@@ -53,7 +54,7 @@ class View:
             )
         return np.ascontiguousarray(self.region.crop(picture))
 
-    def mask(self, press: LabelledPress) -> NDArray[np.bool_]:
+    def mask(self, press: LabelledPress) -> Mask:
         """bool (h, w). Errors: DatasetError for a broken file."""
         mask = press.mask()
         if self.scaled_to is not None:
@@ -90,11 +91,11 @@ class PressPictures:
     def __len__(self) -> int:
         return len(self.presses)
 
-    def read(self, start: int, stop: int) -> NDArray[np.uint8]:
+    def read(self, start: int, stop: int) -> U8:
         """uint8 (stop - start, h, w, 3). Errors: DatasetError."""
         return np.stack([self.view.rgb(press) for press in self.presses[start:stop]])
 
-    def masks(self, rows: Sequence[int] | NDArray[np.int64]) -> NDArray[np.bool_]:
+    def masks(self, rows: Sequence[int] | NDArray[np.int64]) -> Mask:
         """bool (len(rows), h, w), all False for a nominal press. Errors: DatasetError."""
         return np.stack([self.view.mask(self.presses[row]) for row in rows])
 

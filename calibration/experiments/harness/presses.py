@@ -12,6 +12,7 @@ from calibration.dataset import SIZES, Dataset, LabelledPress, Resolution, open_
 from calibration.dataset.press import empty_masks, repeated_pictures
 from calibration.experiments.harness.cells import Split
 from calibration.experiments.harness.pictures import LR_VIEW, PressPictures, View
+from edge.core.arrays import Mask
 from edge.core.errors import DatasetError
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
 from edge.core.imaging.region import CENTRE_SIDE, Region
@@ -49,7 +50,7 @@ class StudyPresses:
         return np.arange(self.nominal, len(self.pictures))
 
     @cached_property
-    def masks(self) -> NDArray[np.bool_]:
+    def masks(self) -> Mask:
         """The masks of the defective presses, bool (n, h, w). Errors: DatasetError where all are empty."""
         masks = self.pictures.masks(self.defective)
         if not masks.any():

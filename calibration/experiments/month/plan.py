@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.simulator import reproducible_math
 from calibration.simulator.defects import DEFECTS, Defect, place_defect
@@ -24,7 +23,7 @@ from calibration.simulator.renderer import MASK_DEPTH_MM
 from calibration.simulator.scars import Scar, grain, random_scar
 from calibration.simulator.shapes import f32
 from calibration.simulator.streams import Streams
-from edge.core.arrays import F32
+from edge.core.arrays import F32, F64
 from edge.core.errors import ConfigError
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
@@ -193,7 +192,7 @@ class Month:
         return found | dict.fromkeys(drawn[damaged:], ("wrong", ""))
 
     @cached_property
-    def _wander(self) -> NDArray[np.float64]:
+    def _wander(self) -> F64:
         """Draw place, turn and depth of every press, float64 (presses, 4), each with mean 0 and sd 1."""
         steps = self.streams("wander").standard_normal((self.presses, 4))
         values, now = np.empty_like(steps), self.streams("wander", "begin").standard_normal(4)

@@ -53,6 +53,7 @@ from calibration.experiments.harness.study import (
 from calibration.fitting.features import trunk_grid
 from calibration.fitting.limits.held_out import ScoredPresses
 from calibration.fitting.trunks import Trunk, open_trunk
+from edge.core.arrays import F32, Mask
 from edge.core.detector import Progress
 from edge.core.errors import DatasetError, StoreError
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
@@ -86,7 +87,7 @@ COMMON = find_centre(_HR)
 """The field of view of `lr` in pixels of 1280x720."""
 
 
-def common_map(pixels: NDArray[Any], view: View) -> NDArray[np.float32]:
+def common_map(pixels: NDArray[Any], view: View) -> F32:
     """A score map (h, w) of a view in the common field of view: float32 (COMMON.height, COMMON.width)."""
     found = np.asarray(pixels, np.float32)
     if view.region == LR_VIEW.region:
@@ -160,7 +161,7 @@ class Seen(Material):
     """Presses without the cap."""
 
     @cached_property
-    def common(self) -> NDArray[np.bool_]:
+    def common(self) -> Mask:
         """The 1280x720 masks of the defective presses in the common field of view, bool (n, h, w).
 
         Errors: DatasetError for a press without 1280x720 pictures, and where all masks are empty there.

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.simulator.defects import DENT_DEPTH_MM, SCRATCH_DEPTH_MM, Damaged, Defect
 from calibration.simulator.field_of_view import Field, grids
-from edge.core.arrays import F32
+from edge.core.arrays import F32, Mask
 
 __all__ = ["KINDS", "Damage", "Spot", "surroundings"]
 
@@ -68,7 +67,7 @@ class Damage:
         return np.asarray(KINDS[self.kind].sign * changed, np.float32)
 
 
-def surroundings(damage: Damage, field: Field) -> NDArray[np.bool_]:
+def surroundings(damage: Damage, field: Field) -> Mask:
     """Return where a score map may show the damage, on it and within a cell of it, bool (h, w)."""
     damaged = np.abs(damage.relief(*grids(field))) > _EDGE_SHARE * damage.size_mm
     across, down = (2 * round(_OUTSIDE_MM / m) + 1 for m in field.mm_per_px)

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES
+from edge.core.arrays import F64
 from edge.core.binomial import CONFIDENCE, beta_quantile, upper_rate
 from edge.core.errors import FitError
 from edge.core.printable import write_count
@@ -63,7 +64,7 @@ ROUNDING = 1e-9
 
 
 def conformal_threshold(
-    scores: Sequence[float] | NDArray[np.float64],
+    scores: Sequence[float] | F64,
     alpha: float,
     slack: float = 0.0,
     kind: str = "cross-conformal",
@@ -116,7 +117,7 @@ def _promise(alarms: int, trials: int) -> RatePromise:
 
 def count_alarms(
     limit: ThresholdEntry,
-    scores: Sequence[float] | NDArray[np.float64],
+    scores: Sequence[float] | F64,
     specimens: Sequence[str | None] = (),
 ) -> ThresholdEntry:
     """Promise what these scores of its presses show: how many presses, and pieces, lie above the limit's value."""
@@ -128,7 +129,7 @@ def count_alarms(
 
 
 def promise_at(
-    scores: Sequence[float] | NDArray[np.float64],
+    scores: Sequence[float] | F64,
     value: float,
     alpha: float,
     specimens: Sequence[str | None] = (),
@@ -184,7 +185,7 @@ def require_enough(presses: int, alpha: float, fewest: int = MIN_PRESSES, why: s
         )
 
 
-def of_copies(scores: Sequence[float] | NDArray[np.float64], alpha: float) -> ThresholdEntry:
+def of_copies(scores: Sequence[float] | F64, alpha: float) -> ThresholdEntry:
     """The threshold of a single press: above its copies, which no bank has learnt. It promises no rate.
 
     scores: of the copies.

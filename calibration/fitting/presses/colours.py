@@ -3,8 +3,8 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import U8
 from edge.core.imaging.quality import BLACK_LEVEL
 from edge.core.imaging.sensor_check import check_sensor, colour_cells, colour_distance
 from edge.model.manifest import ColourEntry
@@ -43,7 +43,7 @@ _LEAST_COLOUR: Final = 1.0
 leaves less; on real presses of a GelSight Mini it is above 40."""
 
 
-def nominal_colours(frames: NDArray[np.uint8]) -> ColourEntry | None:
+def nominal_colours(frames: U8) -> ColourEntry | None:
     """The coarse colours of the presses, and the largest distance from them. frames: uint8 (n, h, w, 3), n at least 1.
 
     None where they are black: then there is no colour to compare with.
@@ -80,6 +80,6 @@ def colour_warnings(colours: ColourEntry | None) -> list[str]:
     ]
 
 
-def refuses(colours: ColourEntry | None, rgb: NDArray[np.uint8]) -> bool:
+def refuses(colours: ColourEntry | None, rgb: U8) -> bool:
     """Tell whether the gateway refuses a frame, uint8 (h, w, 3), for its colours; never where no colours are known."""
     return colours is not None and check_sensor(rgb, colours.nominal()) is not None

@@ -11,7 +11,6 @@ from types import MappingProxyType
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.dataset.files import read_rgb
 from calibration.dataset.press import numbered
@@ -20,6 +19,7 @@ from calibration.fitting.presses.gel_choice import MIN_PRESSES, choose_free_gel,
 from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
 from calibration.fitting.presses.sources import list_pictures, name_apart
 from calibration.fitting.presses.strangers import find_odd, find_pieces, merge_copies, small_view
+from edge.core.arrays import U8, Mask
 from edge.core.contact.mask import Touch, touched
 from edge.core.contact.press_detector import PressDetector
 from edge.core.errors import DatasetError, FitError
@@ -50,7 +50,7 @@ MAX_NO_CONTACT = 16
 TOUCHED_MARGIN_MM = 1.0
 
 
-_Mask = NDArray[np.bool_] | None
+_Mask = Mask | None
 """Where a press touches in the view, bool (120, 160); None where the free gel is not known."""
 # The fields with one entry per press.
 _EACH = ("names", "specimens", "touches", "strengths", "guessed")
@@ -60,7 +60,7 @@ _EACH = ("names", "specimens", "touches", "strengths", "guessed")
 class NominalPresses:
     """Nominal presses of one position, cut to the inspected region."""
 
-    frames: NDArray[np.uint8]
+    frames: U8
     """Pictures, uint8 (n, h, w, 3) RGB."""
     names: tuple[str, ...]
     specimens: tuple[str | None, ...] = ()
@@ -71,13 +71,13 @@ class NominalPresses:
     """Of their imprints, levels; empty where the free gel was not seen."""
     guessed: tuple[Touch, ...] = ()
     """The same by an estimate of the free gel that is in doubt: good for a warning alone."""
-    touched: NDArray[np.bool_] | None = None
+    touched: Mask | None = None
     """What the presses touch with a margin of 1 mm, bool (h, w); None where the free gel was not seen."""
-    no_contact: NDArray[np.uint8] | None = None
+    no_contact: U8 | None = None
     """The free gel, uint8 (m, h, w, 3); None where it is in doubt."""
     left_out: tuple[str, ...] = ()
     """Names of presses found and left out."""
-    free_view: NDArray[np.uint8] | None = None
+    free_view: U8 | None = None
     """The free gel as contact detection sees it, uint8 (120, 160, 3)."""
     faults: tuple[str, ...] = ()
     """Parts of the sources that could not be read or found, and doubts about the free gel, a sentence each."""
@@ -87,9 +87,9 @@ class NominalPresses:
     """The presses in their order, where they are frames of one film."""
     dots: MarkerDots | None = None
     """The dots of a marker gel, filled in the pictures; None where they are none, or are not filled."""
-    raw: NDArray[np.uint8] | None = None
+    raw: U8 | None = None
     """The pictures before they were smoothed, (n, h, w, 3); None where they are not smoothed."""
-    unjudged: NDArray[np.bool_] | None = None
+    unjudged: Mask | None = None
     """Places at which a station did not judge them, as under scars of its gel, (n, h, w); None for none."""
 
     def __post_init__(self) -> None:
@@ -127,12 +127,12 @@ class NominalPresses:
 class _Press:
     """A press found in the sources."""
 
-    rgb: NDArray[np.uint8]
+    rgb: U8
     """The inspected region."""
     name: str
     specimen: str | None
     mask: _Mask
-    view: NDArray[np.uint8]
+    view: U8
     """The whole picture, uint8 (120, 160, 3)."""
 
 
@@ -144,7 +144,7 @@ class _Gathered:
     region: Region
     unwanted: frozenset[str] = frozenset()
     presses: list[_Press] = field(default_factory=list)
-    free: list[NDArray[np.uint8]] = field(default_factory=list)
+    free: list[U8] = field(default_factory=list)
     """Whole pictures of the free gel, until it is chosen those of recordings."""
     left_out: list[str] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
@@ -153,15 +153,13 @@ class _Gathered:
     is_doubtful: bool = False
     film: tuple[int, ...] = ()
 
-    def choose_gel(
-        self, pictures: Sequence[NDArray[np.uint8]], given: Mapping[str, NDArray[np.uint8]]
-    ) -> None:
+    def choose_gel(self, pictures: Sequence[U8], given: Mapping[str, U8]) -> None:
         """Choose the free gel by the presses of pictures, from given pictures, recordings or the presses."""
         chosen = choose_free_gel(pictures, given, self.free, self.profile)
         self.free, self.estimated, self.is_doubtful = chosen.pictures, chosen.estimated, chosen.is_doubtful
         self.faults += chosen.faults
 
-    def add(self, picture: NDArray[np.uint8], name: str, specimen: str | None, mask: _Mask) -> None:
+    def add(self, picture: U8, name: str, specimen: str | None, mask: _Mask) -> None:
         if name in self.unwanted:
             self.left_out.append(name)
         else:
@@ -266,11 +264,11 @@ def read_presses(
 
 
 def gather_presses(
-    pictures: Mapping[str, NDArray[np.uint8]],
+    pictures: Mapping[str, U8],
     profile: SensorProfile,
     region: Region,
     *,
-    no_contact: Sequence[NDArray[np.uint8]] = (),
+    no_contact: Sequence[U8] = (),
 ) -> NominalPresses:
     """Gather presses from one picture or more in memory, uint8 (h, w, 3) RGB in the profile's size, by their names."""
     gathered = _Gathered(profile, region)
@@ -327,11 +325,9 @@ def why_unread(folder: Path, detector: PressDetector) -> str:
     return f"all {detector.corrupt} frames of {folder} were refused; the first: {detector.first_fault}"
 
 
-def _pictures(
-    files: Sequence[Path], profile: SensorProfile, resize: bool
-) -> list[tuple[Path, NDArray[np.uint8]]]:
+def _pictures(files: Sequence[Path], profile: SensorProfile, resize: bool) -> list[tuple[Path, U8]]:
     faults: list[str] = []
-    found: list[tuple[Path, NDArray[np.uint8]]] = []
+    found: list[tuple[Path, U8]] = []
     for path in files:
         try:
             found.append((path, require_light(path, read_rgb(path, profile, resize=resize))))
@@ -361,7 +357,7 @@ def _name_pages(files: Sequence[Path]) -> list[str]:
     ]
 
 
-def require_light(path: Path, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def require_light(path: Path, picture: U8) -> U8:
     """Return the picture. Errors: DatasetError for a black one."""
     level = float(picture.mean(dtype=np.float64))
     if level < BLACK_LEVEL:
@@ -371,7 +367,7 @@ def require_light(path: Path, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return picture
 
 
-def _contacts(free: Sequence[NDArray[np.uint8]]) -> Callable[[NDArray[np.uint8]], _Mask]:
+def _contacts(free: Sequence[U8]) -> Callable[[U8], _Mask]:
     """Return the function that finds a picture's contact as the gateway does; none is known without the free gel."""
     if not free:
         return lambda picture: None
@@ -379,9 +375,7 @@ def _contacts(free: Sequence[NDArray[np.uint8]]) -> Callable[[NDArray[np.uint8]]
     return lambda picture: find(picture).mask
 
 
-def touched_union(
-    masks: Sequence[NDArray[np.bool_]], profile: SensorProfile, region: Region
-) -> NDArray[np.bool_]:
+def touched_union(masks: Sequence[Mask], profile: SensorProfile, region: Region) -> Mask:
     """Unite what presses touch in the region, bool (h, w), with a margin. masks: of the view, bool (120, 160) each."""
     union = np.logical_or.reduce(masks)
     seen = touched_in(union, profile.size, region).astype(np.uint8)

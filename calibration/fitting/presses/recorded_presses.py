@@ -3,9 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from edge.core.arrays import Mask
 from edge.core.contact.events import PressBegan, PressSettled, ReferenceReady
 from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.settings import ContactSettings
@@ -21,7 +19,7 @@ class FoundPress:
     """The settled frame of a press."""
 
     frame: CameraFrame
-    mask: NDArray[np.bool_] | None
+    mask: Mask | None
     """Where it touches, bool (120, 160); None where the free gel is not known."""
 
 

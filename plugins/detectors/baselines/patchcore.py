@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from edge.core.arrays import F32
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from plugins.detectors.common import parameters as shared
 from plugins.detectors.common.coreset import k_centre
@@ -182,7 +183,7 @@ patchcore = Patchcore()
 
 
 def _coreset(
-    points: NDArray[np.float32], count: int, p: PatchcoreParameters, rng: Rng
+    points: F32, count: int, p: PatchcoreParameters, rng: Rng
 ) -> tuple[NDArray[np.int64], dict[str, Any]]:
     """The rows kept, and the random choices made."""
     start = int(rng.integers(len(points)))

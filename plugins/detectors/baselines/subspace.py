@@ -11,9 +11,9 @@ Ref: PCA residuals on deep features (SubspaceAD, 2026, on transformer features; 
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from edge.core.arrays import F64
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Progress, ScoreMaps
 from plugins.detectors.common import parameters as shared
 from plugins.detectors.common.embedding import Embedded, Embedding, blocks, learn_embedding
@@ -138,7 +138,7 @@ class Subspace:
 subspace = Subspace()
 
 
-def _rank(values: NDArray[np.float64], power: float, p: SubspaceParameters) -> int:
+def _rank(values: F64, power: float, p: SubspaceParameters) -> int:
     """The fewest directions that explain the wanted part of the variance.
 
     values: falling. power: mean square length of a descriptor, which separates variance from rounding. At least one
@@ -152,9 +152,7 @@ def _rank(values: NDArray[np.float64], power: float, p: SubspaceParameters) -> i
     return min(wanted, alive, p.most_rank, len(values) - 1)
 
 
-def _average(
-    descriptors: Embedded, add: Callable[[NDArray[np.float64]], NDArray[np.float64]], progress: Progress
-) -> NDArray[np.float64]:
+def _average(descriptors: Embedded, add: Callable[[F64], F64], progress: Progress) -> F64:
     """Average over all cells and presses the sums that `add` makes of descriptors (cells, n, d)."""
     total, count = np.zeros(()), 0
     every = np.arange(descriptors.embedding.count)
@@ -162,5 +160,5 @@ def _average(
         x = descriptors.at(every[part])
         total, count = total + add(x), count + x.shape[0] * x.shape[1]
         progress(part.stop / len(every))
-    mean: NDArray[np.float64] = total / count
+    mean: F64 = total / count
     return mean

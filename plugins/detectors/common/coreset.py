@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F64
+
 __all__ = ["Coreset", "k_centre"]
 
 # A squared distance below this part of the two squared lengths is rounding of the product form, not a distance.
@@ -31,9 +33,7 @@ class Coreset(NamedTuple):
     """How far any row is from its nearest pick, plain distance."""
 
 
-def k_centre(
-    points: NDArray[np.floating], count: int, start: int, anchor: NDArray[np.float64] | None = None
-) -> Coreset:
+def k_centre(points: NDArray[np.floating], count: int, start: int, anchor: F64 | None = None) -> Coreset:
     """Choose at most `count` rows of `points` (n, c), beginning at `start`.
 
     anchor: (n,) plain distances, the first upper bounds (PatchCore's ten random points); the first pick is then the
@@ -67,7 +67,7 @@ class _Picks:
     The front are the rows with bounds above a level, all exact; every other row is at or below the level.
     """
 
-    def __init__(self, x: NDArray[np.float64], bound: NDArray[np.float64], most: int) -> None:
+    def __init__(self, x: F64, bound: F64, most: int) -> None:
         self._x, self._bound = x, bound
         self._lengths = np.einsum("nc,nc->n", x[:, :-1], x[:, :-1])
         self._known = np.zeros(len(x), np.int64)
@@ -108,10 +108,10 @@ class _Picks:
                 )
         self._known[rows] = self.count
 
-    def _nearest(self, rows: NDArray[np.int64], picks: slice) -> NDArray[np.float64]:
+    def _nearest(self, rows: NDArray[np.int64], picks: slice) -> F64:
         """The smallest squared distance of each row to some picks; what is rounding is zero."""
         x, lengths, picked = self._x[rows], self._lengths[rows], self._picked[picks]
-        nearest: NDArray[np.float64] = (picked @ x.T).min(axis=0) + lengths
+        nearest: F64 = (picked @ x.T).min(axis=0) + lengths
         near = np.flatnonzero(nearest <= ROUNDING * (lengths + picked[:, -1].max()))
         squared = picked @ x[near].T + lengths[near]
         squared[squared <= ROUNDING * (lengths[near] + picked[:, -1:])] = 0.0

@@ -19,6 +19,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F64
 from edge.core.detector import Features, Grid
 from plugins.detectors.common.smoothing import UPSAMPLING, upsampling_matrix
 from plugins.detectors.common.tile_layout import emit_split, split, tile_grid
@@ -39,12 +40,12 @@ class Band(NamedTuple):
 
     channels: slice
     """The channels that they need."""
-    weights: NDArray[np.float64]
+    weights: F64
     """Weights of the convolution, (rows, channels, 3, 3)."""
 
 
 @cache
-def binned_weights(channels: int, taps: int, number: int) -> NDArray[np.float64]:
+def binned_weights(channels: int, taps: int, number: int) -> F64:
     """The part of the binned descriptor that tap `number` of `taps` gives: (rows, channels * 9).
 
     Its rows are those from floor(number * BINS / taps) on; the first and last may be shared with the neighbour.
@@ -184,7 +185,7 @@ class Descriptor:
     def _is_finer(self, grid: Grid, tap: str) -> bool:
         return grid.taps[tap][1] > self.cells(grid)[0]
 
-    def _resampling(self, grid: Grid, tap: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _resampling(self, grid: Grid, tap: str) -> tuple[F64, F64]:
         """The matrices that resample a tap to the grid: (grid rows, tap rows) and (grid columns, tap columns)."""
         rows, columns = (
             resampling_matrix(n, to, self.is_sampled)
@@ -199,12 +200,12 @@ class Descriptor:
         return graph.between(rows, native, columns)
 
 
-def resampling_matrix(cells: int, onto: int, is_sampled: bool) -> NDArray[np.float64]:
+def resampling_matrix(cells: int, onto: int, is_sampled: bool) -> F64:
     """Resample one axis: bilinear onto a finer grid, by the transposed weights onto a coarser one (none is skipped)."""
     if cells <= onto:
         return upsampling_matrix(cells, onto, UPSAMPLING[is_sampled])
     turned = upsampling_matrix(onto, cells, UPSAMPLING[is_sampled]).T
-    weights: NDArray[np.float64] = turned / turned.sum(axis=1, keepdims=True)
+    weights: F64 = turned / turned.sum(axis=1, keepdims=True)
     return weights
 
 

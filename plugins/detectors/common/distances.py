@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F64
+
 __all__ = ["Nearest", "nearest"]
 
 # Rows of queries compared at once: bounds the memory at `CHUNK * rows of the bank` numbers.
@@ -23,7 +25,7 @@ SPARE = 4
 class Nearest(NamedTuple):
     """The nearest rows."""
 
-    distances: NDArray[np.float64]
+    distances: F64
     """Plain Euclidean, rising, (q, k)."""
     indices: NDArray[np.int64]
     """Rows of the bank, int64 (q, k)."""

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F64, Mask
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.errors import FitError
 from plugins.detectors.common.parameters import EmbeddingParameters, Rng
@@ -152,7 +153,7 @@ class Embedded:
     native: Mapping[str, NDArray[np.floating]]
     """Tap to (n, cells of the tap, part)."""
 
-    def at(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
+    def at(self, cells: NDArray[np.int64]) -> F64:
         """Descriptors at flat cells of the grid: float64 (len(cells), n, d)."""
         taps = self.embedding.choice.taps
         parts = [self.native[tap].swapaxes(0, 1)[self.embedding.index(tap)[cells]] for tap in taps]
@@ -171,7 +172,7 @@ def blocks(count: int) -> Iterator[slice]:
 
 
 def learn_embedding(
-    choice: EmbeddingParameters, grid: Grid, nominal: Nominal, touched: NDArray[np.bool_], rng: Rng
+    choice: EmbeddingParameters, grid: Grid, nominal: Nominal, touched: Mask, rng: Rng
 ) -> Embedding:
     """Draw the channels and measure the scales. touched: flat bool over the grid's cells, where scales are measured.
 
@@ -213,9 +214,7 @@ def split_channels(
     return {f"channels_{tap}": part - first for tap, part, first in zip(taps, parts, ends[:-1], strict=True)}
 
 
-def touched_cells(
-    nominal: Nominal, grid: Grid, cells: tuple[int, int], margin_mm: float
-) -> NDArray[np.bool_]:
+def touched_cells(nominal: Nominal, grid: Grid, cells: tuple[int, int], margin_mm: float) -> Mask:
     """Find the cells that see a touched pixel within the margin around their square: flat bool (rows * columns,).
 
     All of them where the touch is not known.
@@ -235,11 +234,11 @@ def touched_cells(
         - count[np.ix_(bottom, left)]
         + count[np.ix_(top, left)]
     )
-    touched: NDArray[np.bool_] = (inside > 0).ravel()
+    touched: Mask = (inside > 0).ravel()
     return touched
 
 
-def require_touched(touched: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def require_touched(touched: Mask) -> Mask:
     """Give the touched cells. Errors: FitError for none."""
     if not touched.any():
         raise FitError("no nominal press touches the inspected region; move the region or press the part")
@@ -255,9 +254,7 @@ def _check_channels(channels: tuple[int, ...], total: int) -> NDArray[np.int64]:
     return np.array(channels, np.int64)
 
 
-def _squares(
-    grid: Grid, cells: tuple[int, int]
-) -> tuple[tuple[NDArray[np.float64], ...], tuple[float, float]]:
+def _squares(grid: Grid, cells: tuple[int, int]) -> tuple[tuple[F64, ...], tuple[float, float]]:
     """First pixel of every row and column of a grid, and the sides of a cell in pixels."""
     if grid.tiles is None:
         sides = (grid.frame[0] / cells[0], grid.frame[1] / cells[1])

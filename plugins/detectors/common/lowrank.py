@@ -15,6 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F64
+
 __all__ = ["RELATIVE_CUT", "Spectrum", "covariance_spectrum", "mahalanobis_squared", "spectrum"]
 
 # Eigenvalues below this part of the largest are rounding noise of float64 sums (centring makes one of them zero). Noise
@@ -32,11 +34,11 @@ ITERATIONS = 3
 class Spectrum(NamedTuple):
     """Mean and thin eigenpairs of a covariance, for one or many sets of samples."""
 
-    mean: NDArray[np.float64]
+    mean: F64
     """The mean, (..., d)."""
-    values: NDArray[np.float64]
+    values: F64
     """Eigenvalues (..., r), falling, 0 where a set has fewer than r directions."""
-    basis: NDArray[np.float64]
+    basis: F64
     """Orthonormal rows (..., r, d), 0 where the value is 0."""
 
 
@@ -63,13 +65,13 @@ def spectrum(samples: NDArray[np.floating], rank: int | None = None) -> Spectrum
     return _cut(mean, values, np.swapaxes(vectors, -1, -2) @ x)
 
 
-def covariance_spectrum(mean: NDArray[np.float64], covariance: NDArray[np.float64], rank: int) -> Spectrum:
+def covariance_spectrum(mean: F64, covariance: F64, rank: int) -> Spectrum:
     """Give the spectrum of known covariances (..., d, d). rank: the most directions, at least 1."""
     values, vectors = _leading(covariance, rank)
     return _cut(mean, values, np.swapaxes(vectors, -1, -2).copy())
 
 
-def _cut(mean: NDArray[np.float64], values: NDArray[np.float64], directions: NDArray[np.float64]) -> Spectrum:
+def _cut(mean: F64, values: F64, directions: F64) -> Spectrum:
     """Directions (..., r, d) as unit vectors; those of rounding noise become zero."""
     alive = values > RELATIVE_CUT * np.maximum(values[..., :1], np.finfo(np.float64).tiny)
     norms = np.linalg.norm(directions, axis=-1)
@@ -77,7 +79,7 @@ def _cut(mean: NDArray[np.float64], values: NDArray[np.float64], directions: NDA
     return Spectrum(mean, np.where(alive, values, 0.0), basis)
 
 
-def _leading(gram: NDArray[np.float64], keep: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _leading(gram: F64, keep: int) -> tuple[F64, F64]:
     """The `keep` largest eigenpairs of symmetric positive matrices, falling."""
     size = gram.shape[-1]
     block = keep + OVERSAMPLING
@@ -92,12 +94,10 @@ def _leading(gram: NDArray[np.float64], keep: int) -> tuple[NDArray[np.float64],
     return values[..., ::-1][..., :keep], frame @ vectors[..., ::-1][..., :keep]
 
 
-def mahalanobis_squared(
-    delta: NDArray[np.float64], values: NDArray[np.float64], basis: NDArray[np.float64], ridge: float
-) -> NDArray[np.float64]:
+def mahalanobis_squared(delta: F64, values: F64, basis: F64, ridge: float) -> F64:
     """Squared distances (..., n) of `delta` (..., n, d) under eigenvalues (..., r), basis (..., r, d) and the ridge."""
     along = delta @ np.swapaxes(basis, -1, -2)
     off = delta - along @ basis
-    inside: NDArray[np.float64] = (along**2 / (values[..., None, :] + ridge)).sum(axis=-1)
-    outside: NDArray[np.float64] = (off**2).sum(axis=-1) / ridge
+    inside: F64 = (along**2 / (values[..., None, :] + ridge)).sum(axis=-1)
+    outside: F64 = (off**2).sum(axis=-1) / ridge
     return inside + outside

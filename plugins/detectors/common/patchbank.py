@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64, Mask
 from edge.core.detector import Bank, Features, Grid, Nominal
 from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT, HalvedBank
 from plugins.detectors.common.descriptor import Descriptor
@@ -50,9 +51,7 @@ class PatchBank:
     position_weight: float = 0.0
     """Two more numbers, the place on the grid (0 to 1, down and across) times this; 0 leaves them out."""
 
-    def learn(
-        self, features: Features, grid: Grid, rng: Rng
-    ) -> tuple[dict[str, NDArray[Any]], NDArray[np.float32]]:
+    def learn(self, features: Features, grid: Grid, rng: Rng) -> tuple[dict[str, NDArray[Any]], F32]:
         """`scales` (taps,), `mean` (c,) and `basis` (dims, c), and the rows (n, cells of all tiles, width)."""
         arrays: dict[str, NDArray[Any]] = {}
         taps = self.descriptor.taps
@@ -74,7 +73,7 @@ class PatchBank:
             row[:] = described
         return arrays, rows
 
-    def touched(self, nominal: Nominal, grid: Grid) -> NDArray[np.bool_]:
+    def touched(self, nominal: Nominal, grid: Grid) -> Mask:
         """Which of the rows' cells any nominal press touches: (cells of all tiles,), all where this is not known.
         Errors: FitError where none is touched."""
         return touched_places(nominal, grid, self.descriptor.cells(grid), MARGIN_MM)
@@ -84,9 +83,9 @@ class PatchBank:
         nominal: Nominal,
         grid: Grid,
         arrays: Mapping[str, NDArray[Any]],
-        rows: NDArray[np.float32],
+        rows: F32,
         rng: Rng,
-    ) -> NDArray[np.float32]:
+    ) -> F32:
         """Rows (m, width) of gel that nothing touches: from the presses' untouched cells and frames without contact.
 
         Without them the bank would score free gel as a defect. Every place has rows, because each press shows the
@@ -116,7 +115,7 @@ class PatchBank:
 
     def distances(
         self, features: Features, grid: Grid, arrays: Mapping[str, NDArray[Any]], is_squared: bool
-    ) -> NDArray[np.float64]:
+    ) -> F64:
         """The oracle: distances (n, grid rows, grid columns) to the nearest row of `bank` (m, width), in float64."""
         rows = self.rows(features, grid, arrays)
         plain = nearest(rows.reshape(-1, rows.shape[2]), arrays["bank"]).distances
@@ -171,7 +170,7 @@ class PatchBank:
             else {}
         )
 
-    def _places(self, grid: Grid) -> NDArray[np.float64]:
+    def _places(self, grid: Grid) -> F64:
         """The weighted place of every cell in the frame: (cells of all tiles, 2), in the order of the rows."""
         h, w = self.descriptor.cells(grid)
         if grid.tiles is None:
@@ -196,14 +195,14 @@ def of_every_place(rows: NDArray[np.floating], most: int, rng: Rng) -> NDArray[n
     return drawn
 
 
-def draw_rows(rows: NDArray[np.floating], most: int | None, rng: Rng) -> NDArray[np.float32]:
+def draw_rows(rows: NDArray[np.floating], most: int | None, rng: Rng) -> F32:
     """Draw at most `most` of the rows, in their order; None: all."""
     if most is not None and len(rows) > most:
         rows = rows[np.sort(rng.choice(len(rows), most, replace=False))]
     return rows.astype(np.float32)
 
 
-def _deviation(layer: NDArray[np.float32]) -> float:
+def _deviation(layer: F32) -> float:
     """The root mean square deviation of a tap's channels over all nominal cells, with its floor; 1 if all is zero."""
     top = max(float(layer.max()), -float(layer.min()))
     if top == 0:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32
 from plugins.detectors.common.lowrank import spectrum
 from plugins.onnx_builder import Graph, Value
 
@@ -21,9 +22,9 @@ __all__ = ["Rotation", "emit_rotation", "fit_rotation"]
 class Rotation:
     """Leading directions of descriptors, and their mean."""
 
-    mean: NDArray[np.float32]
+    mean: F32
     """The mean, (c,)."""
-    basis: NDArray[np.float32] | None
+    basis: F32 | None
     """Orthonormal rows, (d, c) (zero rows where the samples span less), None for all c."""
 
     @property

@@ -14,8 +14,8 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F64
 from edge.core.detector import Grid, ScoreMaps
 from edge.core.imaging.tiles import Tiles
 from plugins.onnx_builder import Graph, Value
@@ -53,7 +53,7 @@ TRUNCATE = 4.0
 
 
 @cache
-def upsampling_matrix(cells: int, pixels: int, kind: Upsampling = "bilinear") -> NDArray[np.float64]:
+def upsampling_matrix(cells: int, pixels: int, kind: Upsampling = "bilinear") -> F64:
     """Upsample one axis: float64 (pixels, cells), each row sums to 1.
 
     bilinear: half-pixel centres, edges clamped. nearest: floor(pixel * cells / pixels). sampled: cell i is at pixel
@@ -81,7 +81,7 @@ def _stride(cells: int, pixels: int) -> float:
 
 
 @cache
-def gaussian_matrix(pixels: int, sigma_px: float, border: Border = "symmetric") -> NDArray[np.float64]:
+def gaussian_matrix(pixels: int, sigma_px: float, border: Border = "symmetric") -> F64:
     """Blur one axis by a Gaussian: float64 (pixels, pixels), each row sums to 1. Sigma 0 changes nothing."""
     if not (np.isfinite(sigma_px) and sigma_px >= 0):
         raise ValueError(f"a blur is a finite number of pixels, at least 0, found {sigma_px}")
@@ -102,7 +102,7 @@ def gaussian_matrix(pixels: int, sigma_px: float, border: Border = "symmetric") 
 @cache
 def smoothing_matrix(
     cells: int, pixels: int, sigma_px: float, kind: Upsampling = "bilinear", border: Border = "symmetric"
-) -> NDArray[np.float64]:
+) -> F64:
     """Upsampling then blur of one axis: R = G U, float64 (pixels, cells)."""
     matrix = gaussian_matrix(pixels, sigma_px, border) @ upsampling_matrix(cells, pixels, kind)
     matrix.flags.writeable = False
@@ -137,29 +137,29 @@ class Smoothing:
         return cls(cells, grid.frame, sigma_px, upsampling, grid.tiles)
 
     @property
-    def rows(self) -> NDArray[np.float64]:
+    def rows(self) -> F64:
         """float64 (h, grid rows)."""
         if self.tiles is None:
             return smoothing_matrix(self.cells[0], self.frame[0], self.sigma_px, self.upsampling)
         return self._over(self.tiles.blend_rows(self.cells[0] // len(self.tiles.rows)), self.frame[0])
 
     @property
-    def columns(self) -> NDArray[np.float64]:
+    def columns(self) -> F64:
         """float64 (w, grid columns)."""
         if self.tiles is None:
             return smoothing_matrix(self.cells[1], self.frame[1], self.sigma_px, self.upsampling)
         return self._over(self.tiles.blend_columns(self.cells[1] // len(self.tiles.columns)), self.frame[1])
 
-    def _over(self, blend: NDArray[np.float64], pixels: int) -> NDArray[np.float64]:
+    def _over(self, blend: F64, pixels: int) -> F64:
         """Blend one axis of a mosaic onto the frame's own grid, then upsample and blur it."""
         return smoothing_matrix(len(blend), pixels, self.sigma_px, self.upsampling) @ blend
 
-    def __call__(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, raw: F64) -> F64:
         """The smooth map, float64 (n, h, w), of raw distances (n, grid rows, grid columns)."""
-        smooth: NDArray[np.float64] = self.rows @ raw.astype(np.float64) @ self.columns.T
+        smooth: F64 = self.rows @ raw.astype(np.float64) @ self.columns.T
         return smooth
 
-    def score_maps(self, raw: NDArray[np.float64]) -> ScoreMaps:
+    def score_maps(self, raw: F64) -> ScoreMaps:
         """The oracle's result for raw distances: the smooth map, and its maximum as the press's score."""
         score_map = self(raw)
         return ScoreMaps(score_map, score_map.max(axis=(1, 2)))

@@ -8,6 +8,7 @@ Without tiles the map is the only tile and stays as it is.
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F64
 from edge.core.detector import Grid
 from plugins.onnx_builder import Graph, Value
 
@@ -45,7 +46,7 @@ def split(maps: NDArray[np.floating], grid: Grid) -> NDArray[np.floating]:
     return parts.reshape(n * down * across, c, height // down, width // across)
 
 
-def join(raw: NDArray[np.float64], grid: Grid) -> NDArray[np.float64]:
+def join(raw: F64, grid: Grid) -> F64:
     """Distances per tile (n * tiles, h, w) to the mosaic (n, H, W)."""
     (down, across), (_, h, w) = layout(grid), raw.shape
     return raw.reshape(-1, down, across, h, w).transpose(0, 1, 3, 2, 4).reshape(-1, down * h, across * w)

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64, Mask
 from edge.core.detector import Grid, Nominal
 from plugins.detectors.common.embedding import require_touched, touched_cells
 from plugins.detectors.common.tile_layout import layout, split
@@ -24,9 +25,7 @@ QUANTILE = 0.99
 BLOCK = 512
 
 
-def touched_places(
-    nominal: Nominal, grid: Grid, cells: tuple[int, int], margin_mm: float
-) -> NDArray[np.bool_]:
+def touched_places(nominal: Nominal, grid: Grid, cells: tuple[int, int], margin_mm: float) -> Mask:
     """Which cells see a touched pixel within the margin, flat bool (tiles * h * w,), tile by tile.
 
     cells: (h, w) of one tile. All of them where the touch is not known. Errors: FitError for none.
@@ -37,9 +36,7 @@ def touched_places(
     return tiles.ravel() > 0
 
 
-def gel_mean(
-    pressed: NDArray[np.floating], free: NDArray[np.floating] | None
-) -> tuple[NDArray[np.float32], float]:
+def gel_mean(pressed: NDArray[np.floating], free: NDArray[np.floating] | None) -> tuple[F32, float]:
     """The mean gel float32 (places, c), and how far nominal frames lie from the mean of the others (a high quantile).
 
     pressed: (n, places, c) of the nominal presses at untouched places. free: (m, places, c) of frames without contact.
@@ -71,10 +68,10 @@ def gel_weight(scatter: float, nominal: float) -> float:
 
 def gel_distances(
     rows: NDArray[np.floating], mean: NDArray[np.floating], weight: NDArray[np.floating]
-) -> NDArray[np.float64]:
+) -> F64:
     """The oracle: weighted distances (n, places) of rows (n, places, c) from the free gel (places, c)."""
     difference = rows.astype(np.float64) - mean
-    distances: NDArray[np.float64] = np.sqrt(np.einsum("npc,npc->np", difference, difference))
+    distances: F64 = np.sqrt(np.einsum("npc,npc->np", difference, difference))
     return distances * weight.astype(np.float64)
 
 

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F64, Mask
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from edge.core.errors import FitError
 from plugins.detectors.common.parameters import Rng, choose, list_repairs
@@ -100,7 +101,7 @@ class Fapm:
             )
         return Bank(arrays, _packing(arrays, grid, p), facts)
 
-    def _find_kept(self, nominal: Nominal, grid: Grid, tap: str, p: FapmParameters) -> NDArray[np.bool_]:
+    def _find_kept(self, nominal: Nominal, grid: Grid, tap: str, p: FapmParameters) -> Mask:
         """Which groups of a tap keep prototypes: those with a touched place, or all."""
         groups = _layout(grid, tap, p).groups
         if not p.is_touched_only:
@@ -188,7 +189,7 @@ def _fit_layer(
     nominal: Nominal,
     tap: str,
     grid: Grid,
-    kept: NDArray[np.bool_],
+    kept: Mask,
     fraction: float,
     start: float,
     p: FapmParameters,
@@ -234,9 +235,7 @@ def _counts(rows: int, fraction: float, p: FapmParameters) -> tuple[int, int]:
     return near, min(max(near, int(p.far_factor * near)), rows)
 
 
-def _affordable(
-    nominal: Nominal, kept: Mapping[str, NDArray[np.bool_]], grid: Grid, p: FapmParameters
-) -> float:
+def _affordable(nominal: Nominal, kept: Mapping[str, Mask], grid: Grid, p: FapmParameters) -> float:
     """near_fraction, or, with packing "auto", the largest part of it with which int8 stays within `bank_mb`."""
     if p.packing != "auto":
         return p.near_fraction
@@ -271,7 +270,7 @@ def _packing(arrays: Mapping[str, NDArray[Any]], grid: Grid, p: FapmParameters) 
 
 def _layer_distances(
     rows: NDArray[np.floating], tap: str, arrays: Mapping[str, NDArray[Any]], p: FapmParameters
-) -> NDArray[np.float64]:
+) -> F64:
     """Distances (n, h * w, neighbours) of one layer's rows (n, h * w, c), calibrated."""
     distances = prototype_distances(rows, tap, arrays, p.looked_at)
     if p.is_calibrated:

@@ -2,10 +2,9 @@
 
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from edge.core.arrays import F64
 from plugins.detectors.common.smoothing import PAPER_SIGMA_PX
 from plugins.detectors.fapm.parameters import COARSE_SIDE, FINE_SIDE, Cells, FapmParameters
 from plugins.onnx_builder import Graph, Value
@@ -41,7 +40,7 @@ class PublishedFapm(FapmParameters):
             column // FINE_SIDE * COARSE_SIDE + number % COARSE_SIDE,
         )
 
-    def shift(self, distances: NDArray[np.float64]) -> NDArray[np.float64]:
+    def shift(self, distances: F64) -> F64:
         return super().shift(distances) if self.is_softmax_stable else distances
 
     def emit_shift(self, graph: Graph, distances: Value) -> Value:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from edge.core.arrays import F64
 from edge.core.detector import Grid
 from plugins.detectors.common import parameters as shared
 from plugins.detectors.common.parameters import Parameters
@@ -110,20 +111,20 @@ class FapmParameters(Parameters):
         """Find the coarse sub-patch whose distance is added to a fine one: the one that covers it."""
         return row // 2, column // 2
 
-    def shift(self, distances: NDArray[np.float64]) -> NDArray[np.float64]:
+    def shift(self, distances: F64) -> F64:
         """Subtract the largest of each row of distances (n, k), so that no exp overflows."""
-        shifted: NDArray[np.float64] = distances - distances.max(axis=1, keepdims=True)
+        shifted: F64 = distances - distances.max(axis=1, keepdims=True)
         return shifted
 
     def emit_shift(self, graph: Graph, distances: Value) -> Value:
         return graph.op("Sub", distances, graph.op("ReduceMax", distances, graph.ints(1), keepdims=1))
 
-    def weigh(self, distances: NDArray[np.float64]) -> NDArray[np.float64]:
+    def weigh(self, distances: F64) -> F64:
         """Find the factor (n,) of a press's largest distance from those to its neighbours (n, k), rising: a softmax."""
         with np.errstate(over="ignore", invalid="ignore"):
             share = np.exp(self.shift(distances))
             share /= share.sum(axis=1, keepdims=True)
-        weight: NDArray[np.float64] = 1 - (share.max(axis=1) if self.weighting == "largest" else share[:, 0])
+        weight: F64 = 1 - (share.max(axis=1) if self.weighting == "largest" else share[:, 0])
         return weight
 
     def emit_weight(self, graph: Graph, distances: Value) -> Value:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64, Mask
 from plugins.detectors.common.batched_nearest import SHORTLIST, emit_closest, emit_group_nearest, emit_ranked
 from plugins.detectors.common.distances import nearest
 from plugins.detectors.common.untouched_places import emit_gel_distances, gel_distances
@@ -42,7 +43,7 @@ class Layout(NamedTuple):
     """The places that share a bank, int64 (g, s); the last cell of an axis repeats its border where the grid ends
     inside it."""
 
-    def only(self, chosen: NDArray[np.bool_]) -> "Layout":
+    def only(self, chosen: Mask) -> "Layout":
         """The chosen groups."""
         return Layout(self.cell[chosen], self.groups[chosen])
 
@@ -62,14 +63,14 @@ def cell_layout(shape: tuple[int, int], side: int, is_shared: bool) -> Layout:
 class Prototypes(NamedTuple):
     """The chosen rows."""
 
-    mean: NDArray[np.float32]
+    mean: F32
     """The mean of each group, float32 (g, c)."""
-    rows: NDArray[np.float32]
+    rows: F32
     """Centred, in the order of picking, float32 (g, far, c); a group that is not far has `near` of them, and zeros."""
     near: int
-    is_far: NDArray[np.bool_]
+    is_far: Mask
     """Whether a group is far, bool (g,)."""
-    apart: NDArray[np.float64]
+    apart: F64
     """Float64 (g, s * n): the distance of each nominal row to the kept prototypes of other presses, infinite where
     there are none."""
 
@@ -77,11 +78,11 @@ class Prototypes(NamedTuple):
 class _Learnt(NamedTuple):
     """What one number of prototypes gives."""
 
-    mean: NDArray[np.float32]
-    rows: NDArray[np.float32]
-    radius: NDArray[np.float64]
+    mean: F32
+    rows: F32
+    radius: F64
     """How far the rows of a place are from the prototypes, float64 (g, s)."""
-    apart: NDArray[np.float64]
+    apart: F64
     """As in `Prototypes`, for one number of prototypes."""
 
 
@@ -134,13 +135,13 @@ class Chosen(NamedTuple):
 
     picks: NDArray[np.int64]
     """The rows in the order of picking, int64 (count,)."""
-    nearest: NDArray[np.float32]
+    nearest: F32
     """Squared distances to the nearest pick, float32 (n,)."""
-    apart: NDArray[np.float32]
+    apart: F32
     """Squared distances to the nearest pick of another press, infinite where there is none, float32 (n,)."""
 
 
-def pick(rows: NDArray[np.float32], count: int, start: int, s: int) -> Chosen:
+def pick(rows: F32, count: int, start: int, s: int) -> Chosen:
     """Pick rows of a group's centred ones (n, c), of which each press has s: first `start`, then always the farthest.
 
     Among equals the lowest is picked. No row is picked twice.
@@ -175,9 +176,7 @@ def _rows_of(rows: NDArray[np.floating], groups: NDArray[np.int64]) -> NDArray[n
     return columns.reshape(n, len(groups), -1).swapaxes(0, 1).reshape(len(groups), -1, c)
 
 
-def cell_scales(
-    apart: NDArray[np.float64], cell: NDArray[np.int64], floor_quantile: float
-) -> NDArray[np.float64]:
+def cell_scales(apart: F64, cell: NDArray[np.int64], floor_quantile: float) -> F64:
     """The scale of each group's cell (g,): the median of its nominal distances to other presses' prototypes.
 
     Scales are floored at a quantile of all; where no press can be compared with another, they are all 1.
@@ -192,13 +191,13 @@ def cell_scales(
     if not known.size:
         return np.ones(len(cell))
     scale = np.where(np.isfinite(scale), scale, np.median(known))
-    floored: NDArray[np.float64] = np.maximum(scale, np.quantile(known, floor_quantile))[of_group]
+    floored: F64 = np.maximum(scale, np.quantile(known, floor_quantile))[of_group]
     return floored
 
 
 def prototype_distances(
     rows: NDArray[np.floating], tap: str, arrays: Mapping[str, NDArray[Any]], k: int
-) -> NDArray[np.float64]:
+) -> F64:
     """The oracle: distances (n, places, k) of rows (n, places, c) to each place's nearest prototypes.
 
     The last distance is repeated where there are fewer than k. arrays: FAPM's bank, see `Fapm.fit`.

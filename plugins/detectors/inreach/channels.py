@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32
 from edge.core.detector import Progress
 from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT
 from plugins.detectors.inreach.parameters import InreachParameters, Match, Nearest, squared_distances
@@ -27,9 +28,7 @@ class Channels(NamedTuple):
     """Press and patch whose descriptor the element is."""
 
 
-def associate(
-    rows: NDArray[np.float32], p: InreachParameters, progress: Progress = lambda fraction: None
-) -> Channels:
+def associate(rows: F32, p: InreachParameters, progress: Progress = lambda fraction: None) -> Channels:
     """The channels of presses (n, cells, width), openers included, before any is dropped.
 
     Only the best realisation so far is remembered for each patch. Among equally near realisations the first wins.
@@ -77,7 +76,7 @@ def _with_openers(
     return Channels(key[order], press[order], patch[order])
 
 
-def _nearest(asking: NDArray[np.float32], asked_of: NDArray[np.float32]) -> Nearest:
+def _nearest(asking: F32, asked_of: F32) -> Nearest:
     """A product for each realisation, small enough for the cache, in slices of rows that limit the memory."""
     seeds, cells, _ = asked_of.shape
     there, away = np.empty((seeds, cells), np.int64), np.empty((seeds, cells), np.float32)
@@ -93,9 +92,7 @@ def _nearest(asking: NDArray[np.float32], asked_of: NDArray[np.float32]) -> Near
     return Nearest(there, away, back, asking[:, -2] + asked_of[:, :, -1])
 
 
-def _match(
-    asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, p: InreachParameters
-) -> Match:
+def _match(asked: F32, seed: F32, nearest: Nearest, p: InreachParameters) -> Match:
     """Match a press's patches (cells, width) with a realisation's, with exact distances."""
     there, back = nearest.there, np.full(len(asked), -1)
     both = np.flatnonzero(nearest.away <= nearest.back[there])[::-1]
@@ -103,7 +100,7 @@ def _match(
     return p.prefer(asked, seed, nearest, Match(squared_distances(asked, seed[there]), there, back))
 
 
-def prune(rows: NDArray[np.float32], channels: Channels, p: InreachParameters) -> Channels:
+def prune(rows: F32, channels: Channels, p: InreachParameters) -> Channels:
     """The members of channels that are long and tight enough."""
     shortest = p.shortest(len(rows))
     channels = _longer(channels, shortest)

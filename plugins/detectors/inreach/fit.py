@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32, Mask
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Progress, ScoreMaps
 from edge.core.errors import FitError
 from plugins.detectors.common.coreset import k_centre
@@ -87,9 +88,7 @@ class Inreach:
         progress(1.0)
         return Bank(arrays, {"bank": p.packing}, facts)
 
-    def _fallback(
-        self, rows: NDArray[np.float32], facts: dict[str, Any], p: InreachParameters
-    ) -> NDArray[np.float32]:
+    def _fallback(self, rows: F32, facts: dict[str, Any], p: InreachParameters) -> F32:
         """Every patch of every press, and a warning. Errors: FitError where this is switched off."""
         if not p.has_fallback:
             raise FitError(
@@ -119,7 +118,7 @@ inreach = Inreach()
 
 
 def _taking_part(
-    touched: NDArray[np.bool_], tiles: int, presses: int, p: InreachParameters, rng: Rng
+    touched: Mask, tiles: int, presses: int, p: InreachParameters, rng: Rng
 ) -> tuple[NDArray[np.int64], list[slice]]:
     """The cells of each press that take part, int64 (presses, m), and the indices of each tile's cells among them.
 
@@ -140,9 +139,7 @@ def _taking_part(
     return np.concatenate(parts, axis=1), tile_of
 
 
-def _associate_tiles(
-    rows: NDArray[np.float32], tiles: list[slice], p: InreachParameters, progress: Progress
-) -> Channels:
+def _associate_tiles(rows: F32, tiles: list[slice], p: InreachParameters, progress: Progress) -> Channels:
     """Channels tile by tile: a patch is searched for in its own tile alone, as if each tile were a separate model."""
     of_tiles = []
     for number, tile in enumerate(tiles):

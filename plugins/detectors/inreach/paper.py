@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from edge.core.arrays import F32, F64, Mask
 from plugins.detectors.inreach.parameters import InreachParameters, Match, Nearest
 
 __all__ = ["PAPER", "PAPER_TAPS", "REPAIRS", "PublishedInreach"]
@@ -58,13 +59,11 @@ class PublishedInreach(InreachParameters):
     def has_fallback(self) -> bool:
         return self.is_fallback
 
-    def prefer(
-        self, asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, match: Match
-    ) -> Match:
+    def prefer(self, asked: F32, seed: F32, nearest: Nearest, match: Match) -> Match:
         """Let the first of equally near patches win: constant gel leaves one pair."""
         return super().prefer(asked, seed, nearest, match) if self.is_tie_local else match
 
-    def is_taken(self, match: Match, best: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def is_taken(self, match: Match, best: F32) -> Mask:
         """Tell whether a realisation is the closest so far, mutual or not."""
         return super().is_taken(match, best) if self.is_mutual_sought else match.squared < best
 
@@ -74,13 +73,11 @@ class PublishedInreach(InreachParameters):
         """Give the two patch numbers of a match in the wrong order."""
         return (opener, patch) if self.is_index_right else (opener // cells * cells + patch, opener % cells)
 
-    def is_near(
-        self, away: NDArray[np.float64], limit: NDArray[np.float64], stray: float
-    ) -> NDArray[np.bool_]:
+    def is_near(self, away: F64, limit: F64, stray: float) -> Mask:
         """Keep members strictly closer than the limit, which is 0 for a channel without spread."""
         return super().is_near(away, limit, stray) if self.is_floored else away < limit
 
-    def is_tight(self, spread: NDArray[np.float64], stray: float) -> NDArray[np.bool_]:
+    def is_tight(self, spread: F64, stray: float) -> Mask:
         """Keep a channel however wide it is."""
         return super().is_tight(spread, stray) if self.is_spread_limited else np.ones(len(spread), np.bool_)
 

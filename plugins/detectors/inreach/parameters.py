@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from edge.core.arrays import F32, F64, Mask
 from edge.core.detector import Grid, Packing
 from plugins.detectors.common import parameters as shared
 from plugins.detectors.common.descriptor import Descriptor
@@ -25,7 +26,7 @@ ROUNDING = 1e-6
 class Match(NamedTuple):
     """The nearest patches between a press and one realisation, with exact distances."""
 
-    squared: NDArray[np.float32]
+    squared: F32
     """The squared distances of the press's patches, float32 (cells,)."""
     there: NDArray[np.int64]
     """Int64 (cells,), for each patch of the press its nearest of the realisation."""
@@ -33,9 +34,9 @@ class Match(NamedTuple):
     """The other direction, -1 for none."""
 
     @property
-    def is_mutual(self) -> NDArray[np.bool_]:
+    def is_mutual(self) -> Mask:
         """Tell whether the nearest patch of a press's nearest patch is that one, (cells,)."""
-        mutual: NDArray[np.bool_] = self.back[self.there] == np.arange(len(self.there))
+        mutual: Mask = self.back[self.there] == np.arange(len(self.there))
         return mutual
 
 
@@ -44,18 +45,18 @@ class Nearest(NamedTuple):
 
     there: NDArray[np.int64]
     """Int64 (k, cells), for each patch of the press the nearest of the realisation."""
-    away: NDArray[np.float32]
+    away: F32
     """Float32 (k, cells), its squared distance."""
-    back: NDArray[np.float32]
+    back: F32
     """Float32 (k, cells), for each patch of the realisation the distance to the nearest patch of the press."""
-    lengths: NDArray[np.float32]
+    lengths: F32
     """Float32 (k, cells), the sum of the squared lengths of both patches at each place."""
 
 
-def squared_distances(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
+def squared_distances(a: F32, b: F32) -> F32:
     """Compute squared distances (p,) of rows (p, c), as sums of squared differences."""
     difference = a - b
-    squares: NDArray[np.float32] = np.einsum("pc,pc->p", difference, difference)
+    squares: F32 = np.einsum("pc,pc->p", difference, difference)
     return squares
 
 
@@ -131,9 +132,7 @@ class InreachParameters(Parameters):
         """Tell whether every patch is the bank where no channel remains."""
         return True
 
-    def prefer(
-        self, asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, match: Match
-    ) -> Match:
+    def prefer(self, asked: F32, seed: F32, nearest: Nearest, match: Match) -> Match:
         """Prefer the same place among equally near patches, so that constant gel keeps its channels."""
         every, here = np.arange(len(asked)), squared_distances(asked, seed)
         is_there = here <= match.squared * (1 + EQUAL)
@@ -144,7 +143,7 @@ class InreachParameters(Parameters):
             np.where(is_back, every, match.back),
         )
 
-    def is_taken(self, match: Match, best: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def is_taken(self, match: Match, best: F32) -> Mask:
         """Tell which patches join a realisation: closer than the best so far, and mutual.
 
         The others may still join another one.
@@ -157,12 +156,10 @@ class InreachParameters(Parameters):
         """Give the key of the channel and its member: opener and matched patch."""
         return opener, patch
 
-    def is_near(
-        self, away: NDArray[np.float64], limit: NDArray[np.float64], stray: float
-    ) -> NDArray[np.bool_]:
+    def is_near(self, away: F64, limit: F64, stray: float) -> Mask:
         """Tell which members stay: within their channel's limit, or as near as most members of all channels."""
         return away <= np.maximum(limit, stray)
 
-    def is_tight(self, spread: NDArray[np.float64], stray: float) -> NDArray[np.bool_]:
+    def is_tight(self, spread: F64, stray: float) -> Mask:
         """Tell which channels stay: those not wider than the stray distance, by their root mean square distance."""
         return spread <= stray * (1 + EQUAL)

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from plugins.detectors.common.embedding import (
     Embedded,
@@ -164,7 +165,7 @@ def _affordable(embedding: Embedding, covariances: int, grid: Grid, p: PadimPara
 
 def _fit_local(
     descriptors: Embedded, cells: NDArray[np.int64], p: PadimParameters, progress: Progress
-) -> dict[str, NDArray[np.float32]]:
+) -> dict[str, F32]:
     """Fit blocks of cells (m, k): mean (m * k, d), basis (m, r, d), weights (m, r) = 1 / (lambda + ridge), r >= 1."""
     mean, weights, basis = [], [], []
     for part in blocks(len(cells)):
@@ -213,7 +214,7 @@ def _of_blocks(descriptors: Embedded, cells: NDArray[np.int64], p: PadimParamete
 
 def _fit_shared(
     embedding: Embedding, pressed: Embedded, nominal: Nominal, cells: NDArray[np.int64], p: PadimParameters
-) -> dict[str, NDArray[np.float32]]:
+) -> dict[str, F32]:
     """Fit one covariance for all cells that no press touches, around each cell's own mean.
 
     Presses and frames without contact show the untouched gel there.

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F64, Mask
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from plugins.detectors.common.coreset import k_centre
 from plugins.detectors.common.distances import nearest
@@ -123,7 +124,7 @@ def _facts(kept: NDArray[np.intp], presses: int, start: int, p: SpadeParameters)
     }
 
 
-def _describe(features: Features, grid: Grid, p: SpadeParameters) -> NDArray[np.float64]:
+def _describe(features: Features, grid: Grid, p: SpadeParameters) -> F64:
     """Global descriptors (n, d), float64."""
     parts = []
     for tap in p.descriptor_taps(grid):
@@ -134,10 +135,10 @@ def _describe(features: Features, grid: Grid, p: SpadeParameters) -> NDArray[np.
 
 
 def _affordable(
-    described: NDArray[np.float64],
+    described: F64,
     room: float,
     layers: Sequence[Layer],
-    stored: Sequence[NDArray[np.bool_]],
+    stored: Sequence[Mask],
     p: SpadeParameters,
     start: int,
 ) -> NDArray[np.int64]:

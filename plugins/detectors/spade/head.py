@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.core.arrays import F64
 from edge.core.detector import Bank, Grid
 from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT, emit_group_nearest, emit_ranked
 from plugins.detectors.common.pca import emit_rotation
@@ -142,7 +142,7 @@ def _emit_layered_scores(
     graph.output("raw_map", raw, ("n", *finest))
 
 
-def _onto(s: Smoothing, finest: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _onto(s: Smoothing, finest: tuple[int, int]) -> tuple[F64, F64]:
     """Return the matrices that resample one grid to the finest, tile by tile."""
     tiles = (1, 1) if s.tiles is None else (len(s.tiles.rows), len(s.tiles.columns))
     rows, columns = (
@@ -152,9 +152,7 @@ def _onto(s: Smoothing, finest: tuple[int, int]) -> tuple[NDArray[np.float64], N
     return rows, columns
 
 
-def _emit_sum(
-    graph: Graph, maps: Sequence[Value], sides: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]
-) -> Value:
+def _emit_sum(graph: Graph, maps: Sequence[Value], sides: Sequence[tuple[F64, F64]]) -> Value:
     """Emit the sum of rows @ map @ columns.T over the maps."""
     total = ""
     for value, (rows, columns) in zip(maps, sides, strict=True):

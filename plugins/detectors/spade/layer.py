@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64, Mask
 from edge.core.detector import Grid, Nominal
 from plugins.detectors.common.descriptor import resampling_matrix
 from plugins.detectors.common.distances import nearest
@@ -64,7 +65,7 @@ class Layer:
         return self.tiles * math.prod(self.cells)
 
     @property
-    def averaging(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    def averaging(self) -> tuple[F64, F64] | None:
         """The matrices that average the tap onto the compared cells, None where it stays as it is."""
         own, cells = tile_grid(self.grid).taps[self.tap][1:], self.cells
         if own == cells:
@@ -113,13 +114,13 @@ class Layer:
         n, (_, c, h, w) = len(maps), tiles.shape
         return tiles.reshape(n, -1, c, h, w).swapaxes(1, 2).reshape(n, c, -1, w)
 
-    def find_stored(self, nominal: Nominal) -> NDArray[np.bool_]:
+    def find_stored(self, nominal: Nominal) -> Mask:
         """Find the cells that keep rows, flat, tile by tile."""
         if not self.p.is_touched_only or self.window is None:
             return np.ones(self.count, np.bool_)
         return touched_places(nominal, self.grid, self.cells, self.p.margin_mm)
 
-    def tables(self, stored: NDArray[np.bool_]) -> dict[str, NDArray[np.int64]]:
+    def tables(self, stored: Mask) -> dict[str, NDArray[np.int64]]:
         """Make the tables for the search where some cells are untouched. See `Spade.fit`."""
         tables = Tables.of(self.blocks, np.flatnonzero(stored))
         order = np.empty(len(stored), np.int64)
@@ -128,7 +129,7 @@ class Layer:
         return {"queries": tables.queries, "reached": tables.reached, "order": order}
 
     def fit(
-        self, maps: NDArray[np.floating], stored: NDArray[np.bool_], dims: int | None, rng: Rng
+        self, maps: NDArray[np.floating], stored: Mask, dims: int | None, rng: Rng
     ) -> dict[str, NDArray[Any]]:
         """Learn the layer's arrays from its averaged nominal features (n, c, h, w). stored: cells that keep rows."""
         arrays: dict[str, NDArray[Any]] = {}
@@ -153,16 +154,14 @@ class Layer:
             arrays |= {"cells": cells, "gel_cells": np.flatnonzero(~stored), **self.tables(stored)}
         return arrays
 
-    def learn_gel(
-        self, own: Arrays, pressed: NDArray[np.floating], nominal: Nominal
-    ) -> tuple[NDArray[np.float32], float]:
+    def learn_gel(self, own: Arrays, pressed: NDArray[np.floating], nominal: Nominal) -> tuple[F32, float]:
         """Find the mean of the free gel, and how far nominal frames are from it. pressed: of the kept presses."""
         gel, free = own["gel_cells"], None
         if nominal.no_contact is not None:
             free = np.stack([rows[gel] for rows in _rows(self.average(nominal.no_contact[self.tap]), own)])
         return gel_mean(np.stack([rows[gel] for rows in _rows(pressed, own)]), free)
 
-    def nominal_distance(self, own: Arrays, described: NDArray[np.float32]) -> float:
+    def nominal_distance(self, own: Arrays, described: F32) -> float:
         """Find the median distance of a nominal press to the others; nan where there is one press."""
         bank, stored = own["bank"], own.get("cells", np.arange(self.count))
         presses = min(max(2, SCALE_CELLS // self.count), len(described))
@@ -178,9 +177,7 @@ class Layer:
             medians.append(np.median(self._search(rows, others[near], own).reshape(-1)[stored]))
         return float(np.median(medians))
 
-    def distances(
-        self, maps: NDArray[np.floating], galleries: NDArray[np.int64], own: Arrays
-    ) -> NDArray[np.float64]:
+    def distances(self, maps: NDArray[np.floating], galleries: NDArray[np.int64], own: Arrays) -> F64:
         """The oracle: distances (n * tiles, h, w) of presses (n, c, h, w) to their galleries (n, k) of the bank.
 
         Untouched cells are compared with the free gel.
@@ -195,9 +192,7 @@ class Layer:
             each.append(distances)
         return np.concatenate(each)
 
-    def _search(
-        self, rows: NDArray[np.floating], presses: NDArray[np.int64], own: Arrays
-    ) -> NDArray[np.float64]:
+    def _search(self, rows: NDArray[np.floating], presses: NDArray[np.int64], own: Arrays) -> F64:
         """Distances (tiles, h, w) from one press's descriptors (cells, width) to the gallery of the named presses.
 
         They have no meaning at cells without rows.
@@ -218,9 +213,7 @@ class Layer:
         return np.stack(found).reshape(tiles.shape[:3])
 
 
-def _unit(
-    press: NDArray[np.floating], floor: NDArray[np.float32] | None, cells: NDArray[np.int64] | slice = EVERY
-) -> NDArray[np.float64]:
+def _unit(press: NDArray[np.floating], floor: F32 | None, cells: NDArray[np.int64] | slice = EVERY) -> F64:
     """Describe the cells (cells, c) of one press (c, h, w), by unit length when there is a floor."""
     rows = press.reshape(len(press), -1)[:, cells].T.astype(np.float64, order="C")
     return rows if floor is None else rows / (np.sqrt(np.einsum("pc,pc->p", rows, rows))[:, None] + floor)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from edge.core.arrays import F64
 from edge.core.detector import Grid, Packing
 from plugins.detectors.common import parameters as shared
 from plugins.detectors.common.parameters import Parameters
@@ -83,7 +84,7 @@ class SpadeParameters(Parameters):
         pooled = self.descriptor == "avgpool" or (self.descriptor == "auto" and "avgpool" in grid.taps)
         return ("avgpool",) if pooled else self.layers
 
-    def regions_of(self, grid: Grid, tap: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def regions_of(self, grid: Grid, tap: str) -> tuple[F64, F64]:
         """The matrices (regions, rows) and (regions, columns) that average a tap over its regions."""
         down, across = (
             np.stack([np.isin(np.arange(size), part) / len(part) for part in parts])

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.arrays import F32, F64
 from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT, emit_range
 from plugins.onnx_builder import Graph, Value
 
@@ -56,7 +57,7 @@ class Blocks:
         """The cells that a block's window reaches, (blocks, cells reached)."""
         return self._table(self.window)
 
-    def bias(self) -> NDArray[np.float32]:
+    def bias(self) -> F32:
         """0 where a query of a block may use a cell reached and `FORBIDDEN` outside its window, (queries, reached)."""
         near = []
         for side in self.side:
@@ -213,9 +214,7 @@ class _Search:
         return self.graph.op("Reshape", value, shape)
 
 
-def window_nearest(
-    queries: NDArray[np.floating], gallery: NDArray[np.floating], window: int
-) -> NDArray[np.float64]:
+def window_nearest(queries: NDArray[np.floating], gallery: NDArray[np.floating], window: int) -> F64:
     """The float64 oracle: for each cell of `queries` (h, w, c) the nearest of `gallery` (k, h, w, c) within the window.
 
     Plain distances, (h, w). One shift at a time, no products. A cell that is infinite in the gallery is never near.
