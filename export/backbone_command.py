@@ -83,13 +83,9 @@ def backbone(given: BackboneArguments) -> None:
         prefix_tokens=given.prefix_tokens,
         high=given.high,
     )
-    _make(given.checkpoint, given.output, options, given.report)
-
-
-def _make(checkpoint: Path, output: Path, options: BackboneOptions, report: Path | None) -> None:
-    made = export_backbone(checkpoint, output, options, report)
+    made = export_backbone(given.checkpoint, given.output, options, given.report)
     worst = max(made.parity.results, key=lambda result: result.difference)
-    typer.echo(f"{output}: {', '.join(made.taps)}, {len(made.trunk) / 1e6:.1f} MB")
+    typer.echo(f"{given.output}: {', '.join(made.taps)}, {len(made.trunk) / 1e6:.1f} MB")
     typer.echo(f"equal to the original: largest difference {worst.difference:.1e}, at {worst.name}")
     limit = "; not for commercial use" if is_non_commercial(made.facts["licence"]) else ""
     typer.echo(f"licence of the weights {made.facts['licence']}{limit}")

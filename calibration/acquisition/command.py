@@ -47,7 +47,12 @@ def take_presses(given: AcquireArguments) -> tuple[Acquiring, AcquireArguments, 
 
     Errors: as the sources'.
     """
-    _check(given)
+    if sum(bool(source) for source in (given.sources, given.config, given.device)) != 1:
+        raise ConfigError("name one of SOURCE, --config and --device; `gelgate devices` lists the devices")
+    for name, value in (("--promise", given.promise), ("--confidence", given.confidence)):
+        check_promise(name, value)
+    if given.per_piece is not None and given.enter:
+        raise ConfigError("--per-piece and --enter are two ways to say when a piece is new; give one of them")
     sensor = choose_profile(given.profile, given.sources or [])
     stream, part, position, limit = _stream(given, sensor)
     plan = replace(given, part=part, position=position, profile=sensor.name)
@@ -61,16 +66,6 @@ def take_presses(given: AcquireArguments) -> tuple[Acquiring, AcquireArguments, 
     finally:
         acquiring.folder.close()
     return acquiring, plan, limit
-
-
-def _check(given: AcquireArguments) -> None:
-    """Check the options. Errors: ConfigError."""
-    if sum(bool(source) for source in (given.sources, given.config, given.device)) != 1:
-        raise ConfigError("name one of SOURCE, --config and --device; `gelgate devices` lists the devices")
-    for name, value in (("--promise", given.promise), ("--confidence", given.confidence)):
-        check_promise(name, value)
-    if given.per_piece is not None and given.enter:
-        raise ConfigError("--per-piece and --enter are two ways to say when a piece is new; give one of them")
 
 
 def check_promise(name: str, value: float) -> None:

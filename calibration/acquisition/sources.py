@@ -73,7 +73,11 @@ def from_sources(
         yield Shown(path.name, path.read_bytes(), rgb, is_free=True)
     for source in sources:
         if is_recording(source):
-            yield from _of_recording(source, profile)
+            recording, finder = Recording.open(source), PressFinder(profile)
+            frames = ((recorded.frame, (recorded.label or {}).get("specimen")) for recorded in recording)
+            yield from from_frames(frames, finder, profile, source.name)
+            if finder.detector.newest is None:
+                raise FitError(f"no press was found: {why_unread(source, finder.detector)}")
     pictures = [source for source in sources if not is_recording(source)]
     for path in list_pictures(pictures, pattern):
         if not any(path.samefile(one) for one in free):
@@ -86,14 +90,6 @@ def _of_picture(path: Path, piece: str | None, profile: SensorProfile, resize: b
     except DatasetError as error:
         return str(error)
     return Shown(f"{path.parent.name}/{path.name}", path.read_bytes(), rgb, piece)
-
-
-def _of_recording(folder: Path, profile: SensorProfile) -> Iterator[Found]:
-    recording, finder = Recording.open(folder), PressFinder(profile)
-    frames = ((recorded.frame, (recorded.label or {}).get("specimen")) for recorded in recording)
-    yield from from_frames(frames, finder, profile, folder.name)
-    if finder.detector.newest is None:
-        raise FitError(f"no press was found: {why_unread(folder, finder.detector)}")
 
 
 def from_frames(

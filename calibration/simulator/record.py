@@ -92,7 +92,9 @@ def _find_run(scene: Scene, name: str | None, presses: int | None) -> SceneRun:
 def _record(
     scene: Scene, run: SceneRun, folder: Path, seed: int, workers: int, progress: Progress | None
 ) -> Path:
-    stamp = _stamp(scene, run, seed)
+    text = scene.model_dump_json() + run.model_dump_json()
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    stamp = {"version": 1, "scene": scene.name, "run": run.name, "seed": seed, "sha256": digest}
     if not is_empty(folder, "", RecordingError):
         claim(folder, _STAMP, stamp, "recording", RecordingError)
         Recording.open(folder)
@@ -114,12 +116,6 @@ def _record(
         folder.rmdir()
     os.replace(unfinished, folder)
     return folder
-
-
-def _stamp(scene: Scene, run: SceneRun, seed: int) -> dict[str, object]:
-    text = scene.model_dump_json() + run.model_dump_json()
-    digest = hashlib.sha256(text.encode()).hexdigest()
-    return {"version": 1, "scene": scene.name, "run": run.name, "seed": seed, "sha256": digest}
 
 
 def _complete_frames(unfinished: Path) -> int:
