@@ -1,11 +1,9 @@
 """The page of a month and its curves, from rows alone."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
-
-import numpy as np
 
 from calibration.experiments.harness.figures import svg
 from calibration.experiments.harness.markdown import markdown_table
@@ -14,6 +12,7 @@ from calibration.folders import write_atomically
 from edge.core.binomial import rate_limits
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.figure import Figure
 
 __all__ = ["figure", "page", "write_page"]
@@ -62,123 +61,106 @@ def write_page(rows: Sequence[Row], path: Path, figure_path: Path, command: str)
 
 def page(rows: Sequence[Row], link: str, command: str) -> str:
     """Write Markdown. rows: of one set and number of presses. link: to the figure."""
-    days, presses = rows[0]["days"], rows[0]["month_presses"]
-    parts = sorted({row["part"] for row in rows})
-    which = f"{rows[0]['set']} parts {', '.join(map(str, parts))}: {presses} presses in {days} days each"
-    minutes = sum(row["cpu_s"] for row in rows) / 60
-    totals = [[name, *(count(_of(rows, arm)) for arm in ARMS)] for name, count in _LINES.items()]
+    import pandas as pd
+
+    every = pd.DataFrame(rows)
+    arms = [every[every["arm"] == arm] for arm in ARMS]
+    parts = ", ".join(map(str, sorted(every["part"].unique())))
+    which = (
+        f"{rows[0]['set']} parts {parts}: {rows[0]['month_presses']} presses in {rows[0]['days']} days each"
+    )
     return "\n".join(
         [
             _INTRO,
-            f"`{command}`: {which}; {minutes:.0f} minutes of one core.\n",
+            f"`{command}`: {which}; {every['cpu_s'].sum() / 60:.0f} minutes of one core.\n",
             f"![False alarms and escapes by day]({link})\n",
-            markdown_table(["", *ARMS], totals),
+            markdown_table(["", *ARMS], [[name, *map(count, arms)] for name, count in _LINES.items()]),
             *(f"- `{arm}`: {what}." for arm, what in ARMS.items()),
             "\n## What escaped, what was blamed, what was said\n",
-            markdown_table(["", *ARMS], _details(rows)),
+            markdown_table(["", *ARMS], [[name, *map(count, arms)] for name, count in _DETAILS.items()]),
             _WORLD.rstrip(),
             "",
         ]
     )
 
 
-def _of(rows: Iterable[Row], arm: str) -> list[Row]:
-    return [row for row in rows if row["arm"] == arm]
-
-
-def _total(rows: Iterable[Row], name: str) -> int:
-    return sum(int(row[name]) for row in rows)
-
-
-def _rate(wrong: int, of: int) -> str:
+def _rate(own: "pd.DataFrame", what: str, among: str) -> str:
+    wrong, of = int(own[what].sum()), int(own[among].sum())
     if not of:
         return "-"
     low, high = rate_limits(wrong, of)
     return f"{wrong} of {of} ({wrong / of:.1%}; {low:.1%} to {high:.1%})"
 
 
-_LINES: Final[Mapping[str, Callable[[list[Row]], object]]] = {
-    "false alarms": lambda own: _rate(_total(own, "false_alarms"), _total(own, "sound")),
-    "escapes": lambda own: _rate(_total(own, "escapes"), _total(own, "not_sound")),
-    "pieces that stay unsure": lambda own: _total(own, "unsure"),
-    "pieces without a verdict": lambda own: _total(own, "no_verdict"),
-    "presses asked for again": lambda own: _total(own, "pressed_again"),
-    "gel wiped because the station said so": lambda own: _total(own, "wiped"),
-    "gels used": lambda own: sum(
-        1 + max(row["gel"] for row in own if row["part"] == part) for part in {row["part"] for row in own}
-    ),
-    "presses that the person was asked about": lambda own: _total(own, "asked"),
-    "answers that were wrong": lambda own: _total(own, "answered_wrongly"),
-    f"days after the third with more than {_MOST_FALSE:.0%} false alarms": lambda own: _count_bad_days(own),
-    "days whose bundle states no promise": lambda own: sum(row["promise"] is None for row in own),
-    "days that end with a bundle not proven on the gel": lambda own: sum(
-        row["unproven"] is not None for row in own
-    ),
+def _count_bad_days(own: "pd.DataFrame") -> str:
+    days = own[own["day"] >= _FROM_DAY].groupby("day")[["false_alarms", "sound"]].sum()
+    return f"{(days['false_alarms'] > _MOST_FALSE * days['sound']).sum()} of {len(days)}"
+
+
+Count = Callable[["pd.DataFrame"], object]
+"""Counts something in the rows of one station."""
+
+_LINES: Final[Mapping[str, Count]] = {
+    "false alarms": lambda own: _rate(own, "false_alarms", "sound"),
+    "escapes": lambda own: _rate(own, "escapes", "not_sound"),
+    "pieces that stay unsure": lambda own: own["unsure"].sum(),
+    "pieces without a verdict": lambda own: own["no_verdict"].sum(),
+    "presses asked for again": lambda own: own["pressed_again"].sum(),
+    "gel wiped because the station said so": lambda own: own["wiped"].sum(),
+    "gels used": lambda own: (1 + own.groupby("part")["gel"].max()).sum(),
+    "presses that the person was asked about": lambda own: own["asked"].sum(),
+    "answers that were wrong": lambda own: own["answered_wrongly"].sum(),
+    f"days after the third with more than {_MOST_FALSE:.0%} false alarms": _count_bad_days,
+    "days whose bundle states no promise": lambda own: own["promise"].isna().sum(),
+    "days that end with a bundle not proven on the gel": lambda own: own["unproven"].notna().sum(),
     "nights with a new bundle, of those that it was asked for": lambda own: (
-        f"{sum(row['not_learnt'] is None for row in own)} of {sum(row['not_learnt'] != NOT_ASKED for row in own)}"
+        f"{own['not_learnt'].isna().sum()} of {(own['not_learnt'] != NOT_ASKED).sum()}"
     ),
-    "shadows that took over": lambda own: sum(row["not_adopted"] is None for row in own),
+    "shadows that took over": lambda own: own["not_adopted"].isna().sum(),
 }
 
 
-def _count_bad_days(own: list[Row]) -> str:
-    days = sorted({row["day"] for row in own if row["day"] >= _FROM_DAY})
-    later = [[row for row in own if row["day"] == day] for day in days]
-    bad = sum(_total(day, "false_alarms") > _MOST_FALSE * _total(day, "sound") for day in later)
-    return f"{bad} of {len(later)}"
+def _list(counts: Counter[str]) -> str:
+    return ", ".join(f"{what} {number}" for what, number in counts.most_common()) or "none"
 
 
-def _details(rows: Sequence[Row]) -> list[list[str]]:
-    lines = []
-    shown = {"escaped": "escaped", "causes": "cause of false alarms", "alarms": "alarms raised"}
-    for name, what in shown.items():
-        cells = []
-        for arm in ARMS:
-            counts: Counter[str] = sum((Counter(row[name]) for row in _of(rows, arm)), Counter())
-            cells.append(", ".join(f"{key} {number}" for key, number in counts.most_common()) or "none")
-        lines.append([what, *cells])
-    refused = [_list_refusals(_of(rows, arm)) for arm in ARMS]
-    return [*lines, ["bundles refused", *refused]]
-
-
-def _list_refusals(own: list[Row]) -> str:
+def _count_refusals(own: "pd.DataFrame") -> Counter[str]:
     """Count why new bundles were not written, and shadows dropped."""
     counts: Counter[str] = Counter()
-    for row in own:
-        shadow, learnt = row["not_adopted"], row["not_learnt"]
-        if shadow not in (None, NOT_ASKED) and not is_early(shadow):
-            counts[
-                "a shadow that passes known damage" if PASSES_DAMAGE in shadow else "a shadow that fails more"
-            ] += 1
-        if learnt not in (None, NOT_ASKED):
+    for shadow, learnt in own[["not_adopted", "not_learnt"]].fillna(NOT_ASKED).to_numpy():
+        if shadow != NOT_ASKED and not is_early(shadow):
+            is_blind = PASSES_DAMAGE in shadow
+            counts[f"a shadow that {'passes known damage' if is_blind else 'fails more'}"] += 1
+        if learnt != NOT_ASKED:
             counts["a learnt one, not written"] += 1
-    return ", ".join(f"{what} {number}" for what, number in counts.most_common()) or "none"
+    return counts
+
+
+_DETAILS: Final[Mapping[str, Count]] = {
+    "escaped": lambda own: _list(sum(map(Counter, own["escaped"]), Counter())),
+    "cause of false alarms": lambda own: _list(sum(map(Counter, own["causes"]), Counter())),
+    "alarms raised": lambda own: _list(sum(map(Counter, own["alarms"]), Counter())),
+    "bundles refused": lambda own: _list(_count_refusals(own)),
+}
 
 
 def figure(rows: Sequence[Row]) -> "Figure":
     """Draw false alarms by day, the sum of escapes, and the questions' use, one line for each station."""
+    import pandas as pd
     from matplotlib.figure import Figure
 
+    names = ["sound", "false_alarms", "escapes", "unsure", "not_sound"]
+    sums = pd.DataFrame(rows).groupby(["arm", "day"])[names].sum()
     made = Figure(figsize=(6.4, 6.6), layout="constrained", facecolor="white")
     panels = made.subplots(3, 1, sharex=True)
-    days = np.arange(1, rows[0]["days"] + 1)
     for arm in ARMS:
-        own = [[row for row in _of(rows, arm) if row["day"] == day] for day in days]
-        sound = np.array([_total(one, "sound") for one in own])
-        false = np.array([_total(one, "false_alarms") for one in own])
-        escapes = np.cumsum([_total(one, "escapes") for one in own])
-        unsure = np.array([_total(one, "unsure") for one in own])
-        colour, dashes = _LINES_OF[arm]
+        own, (colour, dashes) = sums.loc[arm], _LINES_OF[arm]
         style: dict[str, Any] = {"color": colour, "linestyle": dashes, "label": arm, "linewidth": 1.4}
-        panels[0].plot(days, 100 * false / np.maximum(sound, 1), **style)
-        panels[1].step(days, escapes, where="post", **style)
-        panels[2].plot(days, unsure, **style)
-    not_sound = np.cumsum(
-        [_total([r for r in _of(rows, "frozen") if r["day"] == d], "not_sound") for d in days]
-    )
-    panels[1].step(
-        days, not_sound, where="post", color="#8d8b84", linewidth=1, label="damaged or wrong so far"
-    )
+        panels[0].plot(own.index, 100 * own["false_alarms"] / own["sound"].clip(lower=1), **style)
+        panels[1].step(own.index, own["escapes"].cumsum(), where="post", **style)
+        panels[2].plot(own.index, own["unsure"], **style)
+    wrong, style = sums.loc["frozen", "not_sound"].cumsum(), {"color": "#8d8b84", "linewidth": 1}
+    panels[1].step(wrong.index, wrong, where="post", label="damaged or wrong so far", **style)
     panels[0].axhline(100 * _MOST_FALSE, color="#8d8b84", linewidth=0.8, linestyle=":")
     titles = ("false alarms, % of sound pieces", "escapes so far", "pieces that stay unsure")
     changed = (rows[0]["days"] + 1) // 2 + 0.5
