@@ -11,7 +11,7 @@ from edge.core.printable import printable, write_count
 from edge.messaging.publisher import PublisherLock
 from edge.store.backup import back_up, backups_in, find_leftovers
 from edge.store.backup import migrate as migrate_file
-from edge.store.database import CHAINED_SINCE, SCHEMA_VERSION
+from edge.store.database import CHAINED_SINCE, SCHEMA_VERSION, refuse_left_journal
 from edge.store.integrity import check_database
 from edge.store.ledger_chain import Head
 
@@ -36,14 +36,15 @@ def check(
     The file's integrity, gel counts with presses and with their second record, the outbox with its totals, and the
     ledger with its chain of hashes. It reads only, and the gateway may run meanwhile."""
     path = database_path(config, database)
+    refuse_left_journal(path)
     findings = check_database(path, None if head is None else _head(head))
     for finding in findings:
         typer.echo(printable(f"{'FAULT' if finding.is_fault else 'note '}  {finding.part}: {finding.text}"))
     faults = sum(finding.is_fault for finding in findings)
     if faults:
         raise StoreError(
-            f"database {path} has {write_count(faults, 'fault')}, see above; stop the gateway, keep a copy of the file "
-            "and of those with its name, and go on with the newest sound backup"
+            f"database {path} has {write_count(faults, 'fault')}, see above; stop the gateway, move the file away "
+            "together with its -wal and -shm, and put the newest sound backup in its place"
         )
     typer.echo(f"ok     {path} is sound")
 
@@ -65,6 +66,7 @@ def backup(
 
     The copy is complete, checked, and needs no other file."""
     path = database_path(config, database)
+    refuse_left_journal(path)
     if keep is not None and not target.is_dir():
         raise ConfigError(f"--keep removes older backups in a folder, and {target} is none; name a folder")
     made = back_up(path, target)
@@ -80,6 +82,7 @@ def migrate(database: DatabaseOption = None, config: ConfigOption = CONFIG) -> N
 
     The backup is next to the file. A start of the gateway does the same."""
     path = database_path(config, database)
+    refuse_left_journal(path)
     lock = PublisherLock(path)  # an older gateway must not write meanwhile
     try:
         before, copy = migrate_file(path)

@@ -24,7 +24,7 @@ from edge.messaging.publisher import PublisherLock
 from edge.messaging.status_payloads import GelPayload
 from edge.store import gel_ledger, gel_proofs
 from edge.store.acts import Act
-from edge.store.database import open_read_only
+from edge.store.database import open_read_only, refuse_left_journal
 from edge.store.gel_proofs import GelBundle
 from edge.store.press_counts import PressCounts
 from edge.store.press_store import GelRecord, Store
@@ -186,6 +186,7 @@ def _refuse_waiting(database: Path, serial: str) -> None:
 
 def _open(config: Path, database: Path | None) -> Store:
     path, table = database_path(config, database), _gel_table(config, database)
+    refuse_left_journal(path)
     return Store(path, limit_presses=table.limit_presses, warn_fraction=table.warn_fraction)
 
 

@@ -26,6 +26,7 @@ from edge.messaging.reference_message import describe_chart
 from edge.pictures.control_chart import control_charts_svg
 from edge.store import reference_presses as table
 from edge.store.acts import Act
+from edge.store.database import refuse_left_journal
 from edge.store.press_store import Store
 from edge.store.reference_presses import PieceKey, ReferenceRequest, read_pieces
 from edge.store.ulid import new_ulid
@@ -59,6 +60,7 @@ def press(
     if loaded is not None and not loaded.reference.pieces:
         raise ConfigError(f"{config} names no master piece; name one under [[reference.pieces]]")
     path = database_path(config, database)
+    refuse_left_journal(path)
     clock = SystemClock()
     now_ns = clock.time_ns()
     wish = ReferenceRequest(new_ulid(now_ns), f"{user()}, command line", piece, restart, now_ns)

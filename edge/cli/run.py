@@ -23,6 +23,7 @@ from edge.gateway.preflight import preflight
 from edge.gateway.recorder import PressReport
 from edge.gateway.report import Summary
 from edge.logs import press_event
+from edge.store.database import refuse_left_journal
 
 __all__ = ["check", "example", "press_line", "run", "summary_text"]
 
@@ -74,6 +75,7 @@ def run(
     logs.start("json" if log_json else "text", is_verbose=verbose)
     os.umask(os.umask(0o077) | 0o027)  # results and counts are not for every user of the machine
     loaded = load_config(config, state_dir)
+    refuse_left_journal(loaded.store.path)
     clock = SystemClock()
     with preflight(loaded, clock) as checked:
         for finding in checked.findings:
@@ -147,6 +149,7 @@ def check(
 
     loaded = load_config(config, state_dir)
     typer.echo(f"ok     configuration: {config}")
+    refuse_left_journal(loaded.store.path)
     with preflight(loaded, SystemClock(), is_start=False) as checked:
         findings = checked.findings
     for finding in findings:

@@ -259,7 +259,7 @@ def _database(config: Config, clock: Clock, *, is_start: bool) -> str:
         words.append(f"it was not read whole within {READ_WITHIN_S:g} s; `gelgate db check` does it")
         log.warning("database %s: %s", path, words[0])
     if damage:
-        raise StoreError(f"{damage}; move it away to keep it for repair; a new one is made")
+        raise StoreError(f"{damage}; move it away with its -wal to keep both for repair; a new one is made")
     with open_read_only(path, "reading the gel ledger", any_version=True) as connection:
         version = schema_version(connection)
         is_readable = version == SCHEMA_VERSION

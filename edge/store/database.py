@@ -25,6 +25,7 @@ __all__ = [
     "insert",
     "open_read_only",
     "quick_check",
+    "refuse_left_journal",
     "schema_version",
 ]
 
@@ -59,11 +60,15 @@ _ADVICE: Final = {
     sqlite3.SQLITE_IOERR: "check its disk for faults and free space",
     sqlite3.SQLITE_BUSY: "another program has locked it; end that program",
     sqlite3.SQLITE_LOCKED: "another program has locked it; end that program",
-    sqlite3.SQLITE_CORRUPT: "move the file away to keep it for repair; a new one is made",
+    sqlite3.SQLITE_CORRUPT: "move it away with its -wal to keep both for repair; a new one is made",
     sqlite3.SQLITE_NOTADB: "name another file",
     sqlite3.SQLITE_READONLY: "give the gateway's user the right to write it and its folder",
     sqlite3.SQLITE_CANTOPEN: "create its folder and give the gateway's user the right to write there",
 }
+
+
+# Ref: https://www.sqlite.org/fileformat2.html, bytes 18 and 19 of the file: `back_up` leaves it without a journal.
+_NO_JOURNAL: Final = b"\x01\x01"
 
 
 class Database:
@@ -162,6 +167,25 @@ def open_read_only(path: Path, doing: str, *, any_version: bool = False) -> Iter
                 _refuse_older(connection, path)
             connection.execute("BEGIN")
             yield connection
+
+
+def refuse_left_journal(path: Path) -> None:
+    """Refuse a backup that was put in the place of a file whose journal stayed: SQLite would write that into it.
+
+    It is called before this process has a connection, for closing the file gives up SQLite's locks on it.
+    Errors: StoreError.
+    """
+    real = path.resolve()
+    journal = real.with_name(f"{real.name}-wal")
+    if not (real.is_file() and journal.is_file() and journal.stat().st_size):
+        return
+    with real.open("rb") as file:
+        is_backup = file.read(20)[18:] == _NO_JOURNAL
+    if is_backup:
+        raise StoreError(
+            f"database {path} is a backup, and {journal.name} next to it is of the file that was there before, which "
+            f"would damage it; move {journal.name} and {real.name}-shm away"
+        )
 
 
 def quick_check(path: Path, is_over: Callable[[], bool]) -> str | None:

@@ -9,6 +9,8 @@ from sql import execute
 
 from edge.messaging.publisher import PublisherLock
 from edge.store.database import SCHEMA_VERSION
+from edge.store.press_store import PressRecord, Store
+from edge.store.ulid import new_ulid
 
 T0 = 1_780_000_000 * 10**9
 KEPT = Path(__file__).parents[1] / "compatibility" / "version_0_1_0" / "gelgate.db"
@@ -32,6 +34,25 @@ def test_a_fault_is_printed_and_ends_with_1(database: Path) -> None:
         "from the higher count\n"
     )
     assert "has 2 faults, see above; stop the gateway" in done.sentence()
+
+
+def test_a_backup_beside_the_journal_of_the_file_before_is_refused(database: Path, tmp_path: Path) -> None:
+    """As after a kill, when the backup alone is copied back: SQLite would write the journal into it."""
+    gelgate("db", "backup", tmp_path / "backup.db", "--database", database)
+    left = tmp_path / "gelgate.db-wal"
+    with Store(database) as store:
+        store.record_press(PressRecord(new_ulid(T0), T0, "2BNN4ZE7", "bolt", "pass"), lambda gel: [])
+        journal = left.read_bytes()  # with the newest press
+    shutil.copy(tmp_path / "backup.db", database)
+    left.write_bytes(journal)
+    refused = gelgate("db", "check", "--database", database)
+
+    assert refused.code == 1
+    assert "move gelgate.db-wal and gelgate.db-shm away" in refused.sentence()
+    assert database.read_bytes() == (tmp_path / "backup.db").read_bytes()
+
+    left.unlink()
+    assert "the second record has 2 presses" in gelgate("db", "check", "--database", database).out
 
 
 def test_backups_beyond_those_to_keep_are_removed(database: Path, tmp_path: Path) -> None:

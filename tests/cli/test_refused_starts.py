@@ -140,7 +140,7 @@ REFUSED: dict[str, tuple[Callable[[Bench], Path], int, tuple[str, ...]]] = {
         lambda bench: bench.config(database="presses"), 3, ("store.path", "presses is a folder; name a file"),
     ),
     "no database": (garbage, 1, ("garbage.db", "file is not a database", "name another file")),
-    "a damaged database": (damaged, 1, ("damaged.db is damaged (", "move it away to keep it for repair")),
+    "a damaged database": (damaged, 1, ("damaged.db is damaged (", "move it away with its -wal")),
     "a newer database": (newer, 1, ("newer.db has schema version 99", "knows up to", "use the newer gelgate")),
     "another program's database": (foreign, 1, ("foreign.db belongs to another program", "name another file")),
     "a gel that was pressed less than never": (
