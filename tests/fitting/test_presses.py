@@ -220,9 +220,14 @@ def test_a_pattern_chooses_files_in_folders_below(tmp_path: Path) -> None:
     with pytest.raises(FitError, match=r"one picture directly inside, background\.png, and 6 in"):
         read_presses([tmp_path / "set"], PROFILE, REGION)
     with pytest.raises(
-        FitError, match=r"directly inside; choose with --pattern, such as --pattern '\*/background\.png'"
+        FitError, match=r"directly inside; choose with --pattern, such as --pattern '\*/\*/plot\.p"
     ):
         read_presses([tmp_path], PROFILE, REGION)
+    (tmp_path / "days").mkdir()
+    write(tmp_path / "days" / "monday", "1.png", gel(0))
+    write(tmp_path / "days" / "tuesday", "2.png", gel(0))
+    with pytest.raises(FitError, match=r"directly inside; name the folder that holds them, .*/days/monday$"):
+        read_presses([tmp_path / "days"], PROFILE, REGION)
     free = [tmp_path / "set/background.png"]
     presses, everything = (
         read_presses([tmp_path / "set"], PROFILE, REGION, pattern=pattern, no_contact=free)

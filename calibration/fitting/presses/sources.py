@@ -1,5 +1,6 @@
 """The sources of `fit` and `wrap`: recordings, folders of pictures, pictures, and the nominal presses of datasets."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -156,14 +157,15 @@ def list_pictures(sources: Sequence[Path], pattern: str | None = None) -> list[P
                     f"folder, or a format other than {', '.join(SUFFIXES)}; save it as one, or move it away"
                 )
             if not found:
-                below = next(
-                    (path for path in source.rglob("*/*") if path.suffix.lower() in SUFFIXES), source
-                )
-                folders = "*/" * (len(below.relative_to(source).parts) - 1)
-                remedy = f"choose with --pattern, such as --pattern '{folders}{below.name}'"
+                below = sorted(path for path in source.rglob("*/*") if path.suffix.lower() in SUFFIXES)
+                remedy = "name the folder that holds them" + (f", {below[0].parent}" if below else "")
+                names = Counter(path.name for path in below)
+                if repeated := next((path for path in below if names[path.name] > 1), None):
+                    folders = "*/" * (len(repeated.relative_to(source).parts) - 1)
+                    remedy = f"choose with --pattern, such as --pattern '{folders}{repeated.name}'"
                 raise FitError(
                     f"{source} is neither a recording nor a folder with pictures ({', '.join(SUFFIXES)}) "
-                    f"directly inside; {remedy if folders else 'name the folder that holds them'}"
+                    f"directly inside; {remedy}"
                 )
             if source.absolute().name == FRAMES and (source.absolute().parent / HEADER).is_file():
                 raise FitError(
