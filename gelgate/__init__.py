@@ -35,6 +35,9 @@ def main() -> NoReturn:
     # The program stands outside `edge`, to say so where another folder of that name hides the package.
     try:
         from edge.cli import main as run
+    except KeyboardInterrupt:
+        print("gelgate: interrupted", file=sys.stderr)
+        sys.exit(130)
     except ImportError:
         import edge
 

@@ -36,14 +36,24 @@ def in_processes(
     """
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_set_up_worker)
     queue = iter(tasks)
-    waiting: deque[Future[Result]] = deque(pool.submit(work, task) for task in islice(queue, 2 * workers))
+    waiting: deque[Future[Result]] = deque(_submit(pool, work, task) for task in islice(queue, 2 * workers))
     try:
         while waiting:
             result = waiting.popleft().result()
-            waiting.extend(pool.submit(work, task) for task in islice(queue, 1))
+            waiting.extend(_submit(pool, work, task) for task in islice(queue, 1))
             yield result
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _submit(pool: ProcessPoolExecutor, work: Callable[[Task], Result], task: Task) -> Future[Result]:
+    """Submit a task. A worker that this starts does not hear Ctrl-C, which would end it with a traceback until it is
+    set up."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        return pool.submit(work, task)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _set_up_worker() -> None:

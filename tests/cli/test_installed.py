@@ -26,6 +26,21 @@ def test_the_version_names_what_decides_a_score(option: str) -> None:
     assert lines[2:] == [f"{name} {version(name)}" for name in ("onnxruntime", "numpy")]
 
 
+def test_ctrl_c_while_the_program_is_loaded_is_no_traceback() -> None:
+    loading = """
+import builtins, gelgate
+def stop(name, *rest, before=builtins.__import__):
+    if name == "edge.cli":
+        raise KeyboardInterrupt
+    return before(name, *rest)
+builtins.__import__ = stop
+gelgate.main()
+"""
+    ended = subprocess.run([sys.executable, "-c", loading], capture_output=True, text=True)
+
+    assert (ended.returncode, ended.stderr) == (130, "gelgate: interrupted\n")
+
+
 def test_the_manual_is_listed_and_printed() -> None:
     """`gelgate station docs` has every page; with a name it prints that one, or the nearest that exists."""
     listed = {line.split()[0] for line in gelgate("station", "docs").out.splitlines()}
