@@ -175,7 +175,8 @@ def importer_of(file: Foreign) -> tuple[Importer, Recognised]:
     if not fitting:
         raise ConfigError(
             f"{file.path} is a {file.form} that holds {describe(file.content)}; no importer knows it. Known are "
-            f"{', '.join(each.name for each in known)}; weights of a backbone come in by `gelgate export backbone`"
+            f"{', '.join(each.name for each in known)}; weights of a backbone come in by `gelgate export backbone`, "
+            "and any other network as ONNX by `gelgate bundle wrap`"
         )
     if len(fitting) > 1:
         names = ", ".join(importer.name for importer, _ in fitting)

@@ -34,7 +34,8 @@ class ForbiddenGlobal(pickle.UnpicklingError):
 
     def __init__(self, name: str) -> None:
         super().__init__(
-            f"it names {name}, which is not on the list of what weights or a trained detector may hold"
+            f"it names {name}, which is not on the list of what weights or a trained detector may hold; "
+            "save its state_dict(), or export the network to ONNX"
         )
         self.name = name
 

@@ -48,7 +48,9 @@ def read_archive(file: Any) -> Any:
         if len(members) > MOST_MEMBERS:
             raise ValueError(f"it has {len(members)} members, {MOST_MEMBERS} are allowed")
         if any("/code/__torch__" in name for name in members):
-            raise ValueError("it is a TorchScript archive; save model.state_dict() with torch.save")
+            raise ValueError(
+                "it is a TorchScript archive; save model.state_dict() with torch.save, or export it to ONNX"
+            )
         for member in members.values():
             _check_member(member)
         roots = [name.removesuffix("data.pkl") for name in members if PurePosixPath(name).name == "data.pkl"]

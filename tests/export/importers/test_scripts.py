@@ -342,7 +342,9 @@ def test_every_file_is_recognised_by_one_importer(tmp_path: Path) -> None:
 
 def test_a_file_of_nobody_is_described(tmp_path: Path) -> None:
     """What it holds, which importers there are, and what else may be meant."""
-    sentence = r"is a pickle that holds a table of weights; no importer knows it\. Known are .*padim_pickle"
+    sentence = (
+        r"a pickle that holds a table of weights; no importer knows it\. Known are .*padim_pickle.* wrap"
+    )
     with pytest.raises(ConfigError, match=sentence):
         importer_of(opened(stored(tmp_path, {"weights": [1, 2]})))
 
