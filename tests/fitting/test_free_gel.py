@@ -6,6 +6,8 @@ import pytest
 from marker_gel import dotted, lattice, spread
 
 from calibration.fitting.presses.free_gel import estimate_free_gel
+from calibration.fitting.presses.gel_choice import choose_free_gel
+from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.marker_dots import find_marker_dots
 
 ROWS, COLUMNS = np.mgrid[:120, :160]
@@ -127,3 +129,14 @@ def test_what_is_not_seen_is_said_and_no_picture_is_refused_by_it() -> None:
         assert not found.shows_contacts
         assert str(found).endswith(doubt)
         assert found.find_foreign(picture(light(tilt=40))) == ""
+
+
+@pytest.mark.parametrize(("places", "is_said"), [(ANYWHERE, False), (ONE_PLACE, True)])
+def test_an_estimate_says_what_it_may_hold(places: list[tuple[float, float, float]], is_said: bool) -> None:
+    """What is smooth is never noticed where all presses show it at one place."""
+    pictures = [cv2.resize(rgb, (320, 240)) for rgb in presses(places)]
+
+    chosen = choose_free_gel(pictures, {}, [], profile("cropped_lr"))
+
+    assert chosen.faults == []
+    assert chosen.estimated.endswith("; what is smooth and always at one place counts as gel") == is_said

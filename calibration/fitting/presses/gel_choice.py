@@ -82,7 +82,14 @@ def _choose(
     kept = ChosenGel(list(given.values()), [])
     if not given:
         known = "contacts may be larger than" if gel.shows_contacts else "no contact is"
-        return _of_estimate(gel, gel.doubt and f"{known} known by it; give a picture of it with --no-contact")
+        found = _of_estimate(
+            gel, gel.doubt and f"{known} known by it; give a picture of it with --no-contact"
+        )
+        if _lie_apart(pictures, [gel.picture], gel, profile):
+            return found
+        return replace(
+            found, estimated=f"{found.estimated}; what is smooth and always at one place counts as gel"
+        )
     right, why = _divide(gel, given)
     if right and why:
         return ChosenGel(right, [f"{why}; left out"])
