@@ -26,6 +26,7 @@ from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.reference import View
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.wear import foreign_start, wear
+from edge.core.errors import StoreError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.part_position import PartPosition
@@ -129,7 +130,11 @@ class InspectionSession:
         """Write the waiting presses, oldest first. Errors: StoreError; that press and the later ones keep waiting."""
         while self._waiting:
             with about_press(self._waiting[0].row.press_id):
-                report = self._recorder.record(self._waiting[0])
+                try:
+                    report = self._recorder.record(self._waiting[0])
+                except StoreError:
+                    self._waiting[0] = self._waiting[0].delay()
+                    raise
             recorded = self._waiting.popleft()
             self.see_gel(report.gel)
             self._status.gel_wear(report.gel)
@@ -262,7 +267,7 @@ class InspectionSession:
             if len(self._waiting) < MOST_WAITING:
                 waiting = self._recorder.prepare(press, self.inspector)
                 is_refused = bool(self._waiting)  # by the store, perhaps for long
-                self._waiting.append(waiting.draw_now() if is_refused else waiting)
+                self._waiting.append(waiting.draw_now().delay() if is_refused else waiting)
             else:
                 self._uncounted += 1
 

@@ -105,8 +105,9 @@ class Shown:
         elif message.topic in ("result", "last/press"):
             content = readable("result", message.payload)
             with self._changed:
+                is_retained, is_late = message.topic == "last/press", content.get("is_replayed", False)
                 self._keep_press(
-                    content, may_be_old=message.topic == "last/press" or content.get("is_replayed", False)
+                    content, may_be_old=is_retained or is_late, is_late=is_late and not is_retained
                 )
                 self._note()
         elif message.topic in _STATUS:
@@ -126,15 +127,19 @@ class Shown:
             (key, {**press, "is_earlier": True}) for key, press in self._presses.items()
         )
 
-    def _keep_press(self, content: dict[str, Any], *, may_be_old: bool) -> None:
-        """An old one takes no place above newer ones: its part does not lie there any more."""
-        before = self._presses.get(content["press_id"])
-        is_old = may_be_old and before is None
-        mark = {"is_earlier": True} if before is not None and before.get("is_earlier") else {}
-        self._presses[content["press_id"]] = {**content, **mark}
+    def _keep_press(self, content: dict[str, Any], *, may_be_old: bool, is_late: bool) -> None:
+        """An old one takes no place above newer ones: its part does not lie there any more. is_late: it was made before
+        an interruption, so neither it nor one before it is the verdict of now."""
+        press_id = content["press_id"]
+        before = self._presses.get(press_id)
+        is_old, is_late = may_be_old and before is None, is_late and before is None
+        mark = {"is_earlier": True} if is_late or (before is not None and before.get("is_earlier")) else {}
+        self._presses[press_id] = {**content, **mark}
         for other, known in list(self._presses.items()) if is_old else ():
             if _order(known) > _order(content):
                 self._presses.move_to_end(other)
+        if is_late and next(reversed(self._presses)) == press_id:
+            self._forget_verdict()
         while len(self._presses) > MOST_PRESSES:
             self._presses.popitem(last=False)
 

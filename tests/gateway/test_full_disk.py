@@ -32,6 +32,7 @@ def test_a_full_disk_halts_the_station_and_loses_no_press(station: SteppedStatio
     station.publish()
 
     assert station.verdicts == ["pass", "fail", "pass"]
+    assert [result.is_replayed for result in station.results] == [False, True, False], "what waited is late"
     assert station.alarm("store") is None
     assert station.said("state")["state"] == "ready"
     with Store(tmp_path / "gelgate.db") as store:

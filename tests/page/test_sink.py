@@ -20,6 +20,7 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.core.verdict import Kind
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared
+from edge.messaging.payload_base import as_replayed
 from edge.messaging.status_payloads import Question, QuestionsPayload
 from edge.page.http_server import MOST_OF_ONE, REQUEST_S, HttpHandler, HttpServer
 from edge.page.shown import MOST_ASKED, MOST_PICTURES, MOST_PRESSES
@@ -174,6 +175,7 @@ def test_no_verdict_of_before_an_interruption_is_that_of_now(sink: PageSink) -> 
     assert find_earlier(contact, alarm_cleared("contact")) == [True, True]
     failed = press(3, verdict=Kind.FAIL, score=2.5, score_ratio=2.5)
     assert find_earlier(*failed, contact) == [False, True, True]
+    assert find_earlier(as_replayed(press(4)[0])) == [True] * 4
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,8 @@ BY_OTHERS = (
     Bug(
         "a press that the store refuses leaves the queue",
         "edge/gateway/inspection_session.py",
-        "            with about_press(self._waiting[0].row.press_id):\n"
-        "                report = self._recorder.record(self._waiting[0])\n"
-        "            recorded = self._waiting.popleft()\n",
-        "            recorded = self._waiting.popleft()\n"
-        "            with about_press(recorded.row.press_id):\n"
-        "                report = self._recorder.record(recorded)\n",
+        "                    self._waiting[0] = self._waiting[0].delay()\n",
+        "                    self._waiting.popleft()\n",
         "is lost|belongs to no press",
     ),
     # operations.md: 'results wait in the outbox, in order, and are sent again until they are acknowledged'.
