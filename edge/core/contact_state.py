@@ -93,7 +93,9 @@ class ContactFollower:
     def _take(self, phase: Phase, strength: float) -> None:
         is_free, nominal = phase == "free", self.nominal
         if is_free:
-            self._is_doubtful = self._is_overloaded = False
+            self._is_overloaded = False
+            # What presses before the press is over continues it, and may be another part.
+            self._is_doubtful &= self.press_id is not None
         elif nominal is not None and strength > OVERLOAD_TIMES * nominal.highest:
             self._is_overloaded = True
         is_known = nominal is not None and not is_free
@@ -101,7 +103,7 @@ class ContactFollower:
         is_deep = nominal is not None and strength >= _DEEP_SHARE * nominal.lowest
         if self._is_overloaded:
             self.state = "overload"
-        elif self._is_doubtful:
+        elif self._is_doubtful and not is_free:
             self.state = "unknown"
         else:
             self.state = self._name(phase, is_deep=is_deep)

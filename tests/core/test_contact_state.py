@@ -86,6 +86,11 @@ WHOLE = ["unknown", "free", "touching", "pressing", "deep_enough", "at_rest", "j
             ["unknown", "free", "touching", "unknown", "touching", *WHOLE[4:]],
         ),
         ([*HELD[6:], *HELD[6:], *FREE], {}, ["unknown", "free"]),
+        (
+            [*FREE, *HELD, *[None] * 8, *FREE[:10], *HELD[6:], *LIFT, *FREE[:9]],
+            {},
+            [*WHOLE[:8], "unknown", "free", "unknown", "free"],
+        ),
     ],
     ids=[
         "a press",
@@ -97,6 +102,7 @@ WHOLE = ["unknown", "free", "touching", "pressing", "deep_enough", "at_rest", "j
         "an interruption after the verdict: perhaps another part",
         "an interruption before it",
         "pressed at the start",
+        "an interruption after the verdict, and another part before its press was over",
     ],
 )
 def test_states(depths: list[float | None], given: dict[str, object], said: list[str]) -> None:
