@@ -36,7 +36,7 @@ TABLE = {
     "steps of the clock": ("step clock",),
     "disk full, slow or faulty": ("fill disk", "slow disk", "bad disk"),
     "requests": ("request", "acknowledge"),
-    "freezes of the process": ("freeze",),
+    "freezes of the process, or of its loop": ("freeze", "hang"),
     "faults of relay and pedal": ("relay", "pedal"),
     "faults of PLCs": ("plc", "second plc"),
 }

@@ -85,7 +85,7 @@ RULES = (
 
 def audit_alarms(world: World, station: Station) -> Iterator[str]:
     """Compare what is so with the alarms that the station raises. A process that gets no time says nothing."""
-    now_ns, is_held_up = world.clock.now_ns, station.is_frozen or station.is_disk_slow
+    now_ns, is_held_up = world.clock.now_ns, station.is_held_up
     view = station.loop.parts.status.view()
     raised = view.alarms
     for rule in RULES:

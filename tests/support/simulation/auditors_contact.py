@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from simulation.alarms import is_sensor_lost
-from simulation.auditors_outputs import OPENED_S, SHOWN_S
+from simulation.auditors_outputs import OPENED_S, SHOWN_S, UNHEARD_S
 from simulation.brokers import Broker
 from simulation.hand import MadePress
 from simulation.lives import Station
@@ -24,10 +24,15 @@ ANSWERED_S = 0.3
 def audit_contact(world: World, station: Station) -> Iterator[str]:
     """What holds at each moment: nothing is said of a gel that nobody sees, nor what is over."""
     relay, now_ns, is_held_up = world.relay, world.clock.now_ns, station.is_held_up
-    is_well = relay.mood == "up" and now_ns - relay.well_since_ns > OPENED_S * S and not is_held_up
+    is_open = relay.mood == "up" and now_ns - relay.well_since_ns > OPENED_S * S
+    is_well = is_open and not is_held_up
     channels = {LIFT: "lift", FREE: "free", OVERLOAD: "overload"}
     shown = {name for channel, name in channels.items() if relay.is_on[channel]}
     yield from _audit_shown(world, station, "the relay", shown if is_well else None, SHOWN_S)
+    is_hanging = station.is_hanging and is_open and not station.is_frozen
+    hangs_ns = station.so_since("the loop hangs", is_hanging, len(station.hung))
+    if hangs_ns is not None and shown and now_ns - hangs_ns > (UNHEARD_S + SHOWN_S) * S:
+        yield f"the loop hangs for {(now_ns - hangs_ns) / S:.1f} s, and {' and '.join(shown)} is shown"
     for broker in world.brokers.values():
         owes_ns = station.so_since(
             f"{broker.name} owes an answer", world.connections.turns[broker.name].is_waiting
@@ -94,7 +99,9 @@ def audit_lifts(world: World, station: Station) -> Iterator[str]:
             continue
         begun = [press for press in world.hand.presses if press.begin_ns <= one.told_ns][-1:]
         own = [seen for seen in station.seen if begun and begun[0].begin_ns <= seen.noted_ns <= one.told_ns]
-        if not begun or not (own or begun[0].why):
+        if not begun or not (
+            own or "a relay that is plugged in may say `lift` before the station has it" in begun[0].why
+        ):
             number = begun[0].number if begun else "none"
             yield f"lift was shown at {one.told_ns / S:.3f} s, and press {number} was not recorded yet"
     for broker in world.brokers.values():

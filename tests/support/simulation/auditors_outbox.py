@@ -42,7 +42,7 @@ def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
     if size > room_mb * 1e6:
         yield f"{size} bytes wait in an outbox of {room_mb} MB"
     is_unsaid = station.is_drop_open and "outbox_full" not in station.loop.parts.status.view().alarms
-    unsaid_ns = station.so_since("a drop is not said", is_unsaid and not station.is_frozen)
+    unsaid_ns = station.so_since("a drop is not said", is_unsaid and not station.is_held_up)
     if unsaid_ns is not None and world.clock.now_ns - unsaid_ns > REPORTED_S * S:
         yield f"messages were dropped {REPORTED_S} s ago, and no alarm says so"
     taken = [broker.results.keys() | broker.pieces.keys() for broker in world.brokers.values()]

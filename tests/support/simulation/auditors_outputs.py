@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from simulation.alarms import is_sensor_lost
 from simulation.lives import Station
-from simulation.outputs import DEADLINE_S, GATE, LAMP, REJECT
+from simulation.outputs import DEADLINE_S, GATE, LAMP, LIFT, REJECT
 from simulation.sensor import S
 from simulation.surroundings import World
 
@@ -17,6 +17,9 @@ SHOWN_S = 0.4
 LONGEST_S = 3.0
 """A pulse belongs to a press of this time before it."""
 
+UNHEARD_S = 1.0
+"""What a loop has said that hangs counts for so long (docs/operations.md)."""
+
 UNSEEN_S = 1.0
 """A pass goes out half a second after the last picture of the gel, and the relay is switched."""
 
@@ -26,10 +29,13 @@ def audit_lamp(world: World, station: Station) -> Iterator[str]:
     press, relay, now_ns = world.hand.press, world.relay, world.clock.now_ns
     is_well = relay.mood == "up" and now_ns - relay.well_since_ns > OPENED_S * S and not station.is_frozen
     is_lost = station.so_since("nothing is seen", is_sensor_lost(world, station) and is_well)
+    hangs_ns = station.so_since("it hangs", station.is_hanging and is_well, len(station.hung))
     if not relay.is_on[LAMP] or not is_well:
         return
     if is_lost is not None and now_ns - is_lost > (UNSEEN_S + 2 / station.fps) * S:
         yield f"nothing is seen for {(now_ns - is_lost) / S:.1f} s, and a pass is shown"
+    if hangs_ns is not None and now_ns - hangs_ns > (UNHEARD_S + SHOWN_S) * S:
+        yield f"the loop hangs for {(now_ns - hangs_ns) / S:.1f} s, and a pass is shown"
     if press is None and [seen.shown for seen in station.seen[-1:]] != ["pass"]:
         yield "a pass is shown, and the last press has none"
     if press is None or press.why:
@@ -42,6 +48,7 @@ def audit_lamp(world: World, station: Station) -> Iterator[str]:
 
 def audit_outputs(world: World, station: Station) -> Iterator[str]:
     """Each output belongs to one press that was judged so, and none comes after its deadline."""
+    yield from _audit_hung(world, station)
     unused = {REJECT: [one for one in station.seen if one.shown not in ("pass", "")]}
     unused |= {GATE: [one for one in station.seen if one.shown == "pass"]}
     for one in (one for one in world.relay.switched if one.channel in (LAMP, REJECT, GATE)):
@@ -80,3 +87,16 @@ def audit_outputs(world: World, station: Station) -> Iterator[str]:
                 yield f"the pulse on channel {one.channel} {when} was given after its deadline"
         elif not is_unrecorded:
             yield f"the pulse on channel {one.channel} {when} belongs to no press"
+
+
+def _audit_hung(world: World, station: Station) -> Iterator[str]:
+    """What was seen before the loop hung tells nothing of the part that lies there now."""
+    hung = [
+        (began_ns, ended_ns) for began_ns, ended_ns in station.hung if ended_ns - began_ns > UNHEARD_S * S
+    ]
+    for one in world.relay.switched:
+        came_ns = max([seen.came_ns for seen in station.seen if seen.noted_ns <= one.told_ns], default=0)
+        is_old = any(came_ns <= began_ns <= one.told_ns for began_ns, _ in hung)
+        if one.channel in (LAMP, LIFT) and is_old:
+            name = "a pass" if one.channel == LAMP else "lift"
+            yield f"{name} was shown at {one.told_ns / S:.3f} s, and the loop hung since its press was seen"

@@ -12,6 +12,9 @@ from simulation.surroundings import World
 HALTED_S = 0.5
 """A pass is taken back so soon after the station stopped inspecting: with the next turn of its loop."""
 
+HANGS_S = 5.0
+"""A loop that hangs so long takes it back."""
+
 LATE_S = 0.5
 """A trigger is done so soon after its time: with the next read."""
 
@@ -24,6 +27,7 @@ def audit_plcs(world: World, station: Station) -> Iterator[str]:
     now_ns, state = world.clock.now_ns, station.loop.parts.status.view().state
     is_halted = state != "ready" and not station.is_held_up
     halted_ns = station.so_since(f"a PLC waits for a ready station {world.new_gel_ns}", is_halted) or now_ns
+    hangs_ns = station.so_since("the loop of a PLC hangs", station.is_hanging, len(station.hung)) or now_ns
     asked = {number: one for plc in world.plcs for number, one in plc.asked.items()}
     news = [(shown.at_ns, plc.ip, shown) for plc in world.plcs for shown in plc.shown]
     for plc in world.plcs:
@@ -34,6 +38,8 @@ def audit_plcs(world: World, station: Station) -> Iterator[str]:
         yield from (f"{said}: {what}" for what in _audit_bits(shown, own))
         if own is not None:
             yield from (f"{said}: {what}" for what in _audit_trigger(shown, own))
+        if shown.has("pass") and at_ns - hangs_ns > (HANGS_S + HALTED_S) * S:
+            yield f"{said}: the loop hangs for {(at_ns - hangs_ns) / S:.1f} s, and a pass is shown"
         if shown.has("pass") and at_ns - halted_ns > HALTED_S * S:
             yield f"{said}: the station is {state}, and a pass is shown"
 
@@ -122,10 +128,10 @@ def _audit_place(
 
 
 def may_be_other_part(world: World, press: MadePress) -> bool:
-    """Tell whether another part was selected than the newest trigger before this press has named."""
+    """Tell whether another part may have been selected than the newest trigger before this press has named."""
     before = [[one for one in plc.asked.values() if one.sent_ns < press.begin_ns][-1:] for plc in world.plcs]
     parts = [one.part for asked in before for one in asked if one.part]
-    return any(not world.parts.allows(press, part) for part in parts)
+    return any(not world.parts.is_sure(press, part) for part in parts)
 
 
 def _audit_writers(plc: Plc, other: Plc, ended_ns: Sequence[int]) -> Iterator[str]:

@@ -104,7 +104,7 @@ class Chosen:
         """Draw. Most kinds of fault are left out of a run, so that others meet alone; seeds that follow each other have
         every meeting. A PLC is always disturbed, and met by a second one."""
         rng = random.Random(f"{seed} chosen")
-        drawn = [name for name in names if name != "begin piece"]  # only beside a PLC that begins pieces too
+        drawn = [name for name in names if name not in ("begin piece", "hang")]  # which come below
         rates = {name: rng.choice((1.0, 4.0)) for name in drawn if rng.random() < 0.1}
         trigger, plc, piece = WORK[seed % len(WORK)]
         chosen = cls(
@@ -132,5 +132,7 @@ class Chosen:
             rates["begin piece"] = 4.0
         if is_small(chosen.outbox_mb):  # it is filled, and then the station begins anew
             rates |= dict.fromkeys(("hang up", "stop"), 4.0)
+        if rng.random() < 0.2:
+            rates["hang"] = 4.0
         disturbed = {"second plc": 1.0, **rates, "plc": 4.0}
         return replace(chosen, rates=disturbed) if chosen.plc and "plc" in names else chosen

@@ -20,7 +20,7 @@ SOMETIMES = (
         for fault in (
             *("sensor unplugged", "sensor silent", "sensor frozen", "sensor covered", "another sensor"),
             *("frames corrupt", "frames truncated", "frames broken inside", "frames jitter"),
-            *("frames in a burst", "process frozen", "disk full", "disk slow", "disk errs"),
+            *("frames in a burst", "process frozen", "loop hangs", "disk full", "disk slow", "disk errs"),
         )
         for when in ("", " during a press")
     ),

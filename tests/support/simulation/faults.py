@@ -292,6 +292,22 @@ def freeze(run: "Simulation", rng: random.Random) -> float:
     return run.for_a_while("process frozen", lasts_s, go_on, is_sensors=True)
 
 
+def hang(run: "Simulation", rng: random.Random) -> float:
+    """The loop alone gets no time, between two frames or when it judges or records a press: its detector, or its disk,
+    is slow. Other threads go on with what it said last."""
+    station, lasts_s = run.station, rng.choice((0.9, 2.5, 4.0, 9.0))
+
+    def go_on() -> None:
+        station.is_hanging = False
+
+    def begin() -> None:
+        station.is_hanging = True
+        run.for_a_while("loop hangs", lasts_s, go_on, is_sensors=True)
+
+    station.hangs_in, station.on_hang = rng.choice(("a turn", "a verdict", "a commit")), begin
+    return lasts_s
+
+
 # Outputs
 
 
@@ -386,6 +402,7 @@ FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "kill": kill,
     "lose power": lose_power,
     "freeze": freeze,
+    "hang": hang,
     "relay": disturb_relay,
     "pedal": disturb_pedal,
     "plc": disturb_plc,
@@ -480,7 +497,7 @@ MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
 WAIT_FIRST = {"step clock", "silence", "blind", "hold back", "unplug", "begin piece"}
 """Faults whose first one waits; of others a draw says whether it does."""
 
-NEEDS_ANSWER = {"stop", "lose database", "freeze", *PEOPLE}
+NEEDS_ANSWER = {"stop", "lose database", "freeze", "hang", *PEOPLE}
 """Faults that need an answer of the process."""
 NEEDS_DISK = {"fill disk", "lose power", "slow disk", "bad disk"}
 """Faults for which the writes of SQLite are listened to."""

@@ -85,6 +85,14 @@ class Station:
         """The last life ended while a selection waited."""
         self.is_frozen = False
         """No thread of it gets a turn."""
+        self.is_hanging = False
+        """Its loop gets none, and other threads do."""
+        self.hangs_in: str | None = None
+        """`a turn`, `a verdict` or `a commit`: where the loop hangs next."""
+        self.on_hang: Callable[[], object] = lambda: None
+        """Called when it does."""
+        self.hung: list[tuple[int, int]] = []
+        """From when to when it hung."""
         self.fps = S / world.sensor.period_ns
         self.halted_ns: list[int] = []
         """When it was not ready, about each time that the camera makes a frame."""
@@ -119,13 +127,14 @@ class Station:
         self._closing = ExitStack()
         self.loop: StationLoop
         world.is_dead = lambda: self.disk.is_dead
-        world.may_refuse = lambda: self.is_disk_disturbed
+        world.may_refuse = lambda: self.is_disk_disturbed or self.is_hanging
         world.connections.answer = self.answer
         hear_audits(self.disk)
 
     def open(self) -> None:
         """Begin a life."""
         self.lives += 1
+        self.is_hanging = False
         self.fed_ns.clear()
         self._since.clear()
         self.acts_before = None
@@ -172,7 +181,7 @@ class Station:
     @property
     def is_held_up(self) -> bool:
         """It gets no time, or each flush of the disk takes its own."""
-        return self.is_frozen or self.is_disk_slow
+        return self.is_frozen or self.is_hanging or self.is_disk_slow
 
     @property
     def is_disk_slow(self) -> bool:
@@ -210,6 +219,14 @@ class Station:
             if state not in ("stopped", "lost" if may_be_lost else "") and not self.disk.is_dead:
                 self.found.append(f"{broker.name} retains {state} of a station that ended in order")
         self.disk.forget()
+
+    def hang(self, where: str) -> None:
+        """Do not go on here for a while, where a fault wants that; the loop calls it."""
+        if self.hangs_in == where and not self.disk.is_dead:
+            self.hangs_in, began_ns = None, self.world.clock.now_ns
+            self.on_hang()
+            self.world.connections.wait(lambda: not self.is_hanging, 3600, poll_s=0.05)
+            self.hung.append((began_ns, self.world.clock.now_ns))
 
     def _note_end(self) -> None:
         self.ended_ns.append(self.world.clock.now_ns)
@@ -344,6 +361,7 @@ class Station:
                 *(self.came_ns[press.press_id], self._show(report)),
             )
         )
+        self.hang("a commit")
 
     def _show(self, report: PressReport) -> str:
         """Say what outputs may show of a press, after docs/operations.md."""
@@ -370,6 +388,7 @@ class Witness(PressStage):
         station = self._station
         station.judged_ns[press.press_id] = station.world.clock.now_ns
         station.came_ns[press.press_id] = press.judged_ns or station.fed_ns[-1]
+        station.hang("a verdict")
         return press
 
     def close(self) -> None:

@@ -68,6 +68,11 @@ class PieceWorker:
         except (ValueError, GelgateError):
             run.world.places.forget(run.world.clock.now_ns)
             return
-        run.world.places.select(run.world.clock.now_ns, f"{part}/pos1")
+        place, presses, seen = f"{part}/pos1", run.world.hand.presses, run.station.seen
+        run.world.places.select(run.world.clock.now_ns, place)
+        if presses and presses[-1].begin_ns > (seen[-1].noted_ns if seen else 0):
+            run.world.places.forget(
+                run.world.clock.now_ns
+            )  # when that is recorded the plan may select the last one
         run.reach(f"a person selected the {'right' if part == PARTS[made % 2] else 'wrong'} place of a piece")
         self._chosen = made

@@ -242,7 +242,7 @@ class Simulation:
     def _drawn(self, name: str, rate: float, turn: int | None, rng: random.Random) -> float:
         if turn not in (None, self._turn_of_meetings):
             return 0.5
-        if "process frozen" in self.ending and name in NEEDS_ANSWER:  # nobody answers
+        if self._is_unanswered(name):
             return 0.1
         is_aimed = name in self._aimed or (
             turn is not None and "fill disk" in self.meeting and name in MOMENTS
@@ -256,7 +256,14 @@ class Simulation:
         for number, fault in enumerate(schedule):
             yield Actor(f"fault {number}", partial(self._given, fault), round(fault.at_s * 1e6) * 1000)
 
+    def _is_unanswered(self, name: str) -> bool:
+        """Nobody answers what this needs."""
+        is_silent = "process frozen" in self.ending or self.station.is_hanging
+        return is_silent and name in NEEDS_ANSWER
+
     def _given(self, fault: Fault) -> float:
+        if self._is_unanswered(fault.name):
+            return 0.1
         self._begin(fault.name, fault.seed)
         return 1e6
 

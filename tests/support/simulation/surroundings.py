@@ -74,10 +74,18 @@ class Selected:
             self._changes.append((since_ns, part))
 
     def allows(self, press: MadePress, name: str) -> bool:
-        """Tell whether a press may be of this: what was selected at its begin, which is noticed a moment later."""
+        """Tell whether a press may be of this."""
+        return bool({None, name} & self._may_be(press))
+
+    def is_sure(self, press: MadePress, name: str) -> bool:
+        """Tell whether it is of nothing else."""
+        return self._may_be(press) == {name}
+
+    def _may_be(self, press: MadePress) -> set[str | None]:
+        """Return what was selected at its begin, which is noticed a moment later; None for nobody knows what."""
         before = [part for when, part in self._changes if when <= press.begin_ns][-1]
-        soon = [part for when, part in self._changes if 0 < when - press.begin_ns < self._noticed_s * S]
-        return None in (before, *soon) or name in (before, *soon)
+        soon = (part for when, part in self._changes if 0 < when - press.begin_ns < self._noticed_s * S)
+        return {before, *soon}
 
 
 def count_held() -> Counter[str]:
@@ -100,7 +108,7 @@ class World:
             name: Broker(name, random.Random(f"{seed} {name}"), self.clock, chosen.level) for name in names
         }
         self.is_dead = lambda: False
-        self.may_refuse = lambda: False  # what would have to be recorded
+        self.may_refuse = lambda: False  # what would have to be recorded, or done in time
         self.connections = Connections(self.clock, self.brokers, lambda: self.is_dead())
         self.noticed_s = 0.15 + 2.5 / chosen.fps + chosen.sloth_s
         """A contact is a press so long after its begin at most: docs/contact.md has the times."""

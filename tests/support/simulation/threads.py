@@ -34,7 +34,8 @@ class Threads:
         self._run = run
         self._look_ns: dict[str, int] = {}
         self.camera = Actor("camera", self._camera)
-        self._reader, self._looper = Actor("reader", self._read), Actor("loop", self._loop)
+        turns = self._run.world.connections.turns["loop"] = Turns(self._loop)
+        self._reader, self._looper = Actor("reader", self._read), Actor("loop", turns.act)
         self._relay = Actor("relay", self._switch)
         threads = [self._reader, self._looper, Actor("pictures", self._draw)]
         threads += [
@@ -86,6 +87,8 @@ class Threads:
         if self._run.station.is_disk_disturbed or self._run.station.loop.is_halted:
             for made in hand.presses[-2:]:
                 made.may_count = True
+        if self._run.station.is_hanging:
+            self._run.station.loop.watch()  # each second, by a thread of its own
         self._wake(self._reader)
         return (sensor.next_ns - self._run.world.clock.now_ns) / S
 
@@ -124,6 +127,7 @@ class Threads:
 
     def _loop(self) -> float:
         loop = self._run.station.loop
+        self._run.station.hang("a turn")
         self._obey()
         frame = loop.parts.acquisition.next(0)
         if frame is not None:
