@@ -39,7 +39,7 @@ from edge.pictures.image_file import PictureForm
 from edge.pictures.press_picture import PressCaption, encode_press, encode_scores
 from edge.press_stage import OwnTable, PressStage
 from edge.store.gel_ledger import GelRecord
-from edge.store.press_archive import ArchivedPress, ArchiveFolder
+from edge.store.press_archive import ArchiveFolder
 from edge.store.press_store import PressRecord, Recorded, Store
 
 __all__ = ["PressReport", "Recorder", "WaitingPress", "draw_archived", "press_drawing"]
@@ -168,9 +168,7 @@ class Recorder:
                 stage.write(connection, press)
 
         owes_picture = waiting.drawing is not None
-        recorded = self._store.record_press(
-            waiting.row, messages, table, write, owes_picture=owes_picture, owes_count=True
-        )
+        recorded = self._store.record_press(waiting.row, messages, table, write, owes_picture=owes_picture)
         return PressReport(press, result or _result(waiting, recorded), recorded.gel, sentences)
 
     def follow(self, recorded: WaitingPress, gel: GelRecord, unrecorded: int = 0) -> None:
@@ -245,7 +243,7 @@ def draw_archived(
     part, prepared = bundle.registration, bundle.prepare(rgb)
     light = None if then.light is None else FollowedLight(*then.light)
     prepared = prepared if light is None else light.restore(prepared, bundle.region, bundle.profile.size)
-    blame = Blame(Cause.UNSURE, "see the recorded result")
+    blame, level = Blame(Cause.UNSURE, "see the recorded result"), AGREED * bundle.manifest.threshold.value
     press = Press(
         press_id=press_id,
         time_ns=then.time_ns,
@@ -256,18 +254,12 @@ def draw_archived(
         light=light,
         scars=None if then.masked is None else ScarFindings(blame, archive.read_masked(then)),
         judged=JudgedFrame(CameraFrame(frame, 0, 0), Touch(*then.touch), archive.read_reference(then)),
-        again=_again(then, bundle),
+        again=None if then.own_score is None else Again("", is_asked=False, shown_from=level),
     )
     for stage in stages:
         press = stage.draw_again(press, bundle)
     draw = press_drawing(press, bundle, then.station, heatmap)
     return PressFiles() if draw is None else draw()
-
-
-def _again(then: ArchivedPress, bundle: Bundle) -> Again | None:
-    """Return what decided an archived press together with the one before; None where its own score did."""
-    level = AGREED * bundle.manifest.threshold.value
-    return None if then.own_score is None else Again("", is_asked=False, shown_from=level)
 
 
 def _deviations(measured: Measured, press: Press) -> DeviationsPayload:

@@ -182,14 +182,13 @@ class Store:
         write: Callable[[sqlite3.Connection], None] = lambda connection: None,
         *,
         owes_picture: bool = False,
-        owes_count: bool = False,
     ) -> Recorded:
-        """Number the press, count it and queue its messages, all or nothing.
+        """Number the press, count it and queue its messages, all or nothing; `keep_count` follows.
 
-        into: its table; by default the history of parts. write: what else is written with it. owes_picture, owes_count:
-        `queue_picture` and `keep_count` follow. Recording the same press again changes nothing and returns its number
-        and the gel as it is now, so a caller may repeat after an error. Errors: StoreError, also when the id belongs to
-        another press; any error of `make_messages` and `write`, and then nothing is recorded.
+        into: its table; by default the history of parts. write: what else is written with it. owes_picture:
+        `queue_picture` follows. Recording the same press again changes nothing and returns its number and the gel as it
+        is now, so a caller may repeat after an error. Errors: StoreError, also when the id belongs to another press;
+        any error of `make_messages` and `write`, and then nothing is recorded.
         """
         self._compare(press.serial, press.time_ns)
         table = into or History()
@@ -209,8 +208,6 @@ class Store:
             if owes_picture:
                 outbox.owe_picture(connection, press.press_id, press.verdict, press.time_ns)
             self._newest = number if into is None else _newest_number(connection)
-        if not owes_count:
-            self.keep_count(gel)
         return recorded
 
     def owed_pictures(self) -> list[str]:

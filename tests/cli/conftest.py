@@ -31,5 +31,6 @@ def database(tmp_path: Path) -> Path:
     """A ledger of one sensor with one press."""
     path = tmp_path / "gelgate.db"
     with Store(path) as store:
-        store.record_press(PressRecord(new_ulid(T0), T0, "2BNN4ZE7", "bolt", "pass"), lambda gel: [])
+        press = PressRecord(new_ulid(T0), T0, "2BNN4ZE7", "bolt", "pass")
+        store.keep_count(store.record_press(press, lambda gel: []).gel)
     return path

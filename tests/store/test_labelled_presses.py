@@ -71,7 +71,8 @@ def test_a_count_that_was_lost_goes_on_after_a_reference_press(path: Path) -> No
         for n in range(3):
             count(store, make_press(n))
         press = make_press(3)
-        store.record_press(press, lambda recorded: [], ReferenceTable(KEY, reference(press)))
+        table = ReferenceTable(KEY, reference(press))
+        store.keep_count(store.record_press(press, lambda recorded: [], table).gel)
     path.unlink()
     with Store(path) as store:
         after = count(store, make_press(4))

@@ -84,7 +84,8 @@ from edge.store.press_store import PressRecord, Store
 from edge.store.ulid import new_ulid
 store = Store(Path({str(path)!r}))
 for n in range(5):
-    store.record_press(PressRecord(new_ulid(10**18 + n), 10**18 + n, {SERIAL!r}, "bolt", "pass"), lambda r: [])
+    press = PressRecord(new_ulid(10**18 + n), 10**18 + n, {SERIAL!r}, "bolt", "pass")
+    store.keep_count(store.record_press(press, lambda r: []).gel)
 os._exit(0)
 """
     subprocess.run([sys.executable, "-c", program], check=True)
@@ -167,7 +168,7 @@ def test_a_press_recorded_just_before_the_process_died_is_not_counted_again(path
     with Store(path) as store:
         count(store, make_press(1))
         store.note_uncounted(SERIAL, 3)
-        store.record_press(make_press(2), lambda recorded: [], owes_count=True)
+        store.record_press(make_press(2), lambda recorded: [])
 
     with Store(path) as store:
         assert store.gel(SERIAL, 7).presses == 1 + 3
@@ -178,7 +179,8 @@ def test_an_earlier_count_that_waits_does_not_replace_one_that_was_corrected(pat
     """The gel is said anew at the start; what an earlier life left in the outbox would be retained over it."""
     old = Message("gel", b'{"presses": 1}', retain=True)
     with Store(path) as store:
-        store.record_press(make_press(1), lambda recorded: [old, Message("result", b"{}")])
+        sent = [old, Message("result", b"{}")]
+        store.keep_count(store.record_press(make_press(1), lambda recorded: sent).gel)
         store.note_uncounted(SERIAL, 20)
     with Store(path) as store, Outbox(path) as outbox:
         outbox.register(["mqtt"])

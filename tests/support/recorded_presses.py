@@ -68,12 +68,16 @@ def messages_of(press: PressRecord, heatmap_bytes: int = 100) -> MakeMessages:
 
 def record(store: Store, *presses: PressRecord) -> Recorded:
     """Record presses with their messages; return what is known of the last one."""
-    return [store.record_press(press, messages_of(press)) for press in presses][-1]
+    last = [store.record_press(press, messages_of(press)) for press in presses][-1]
+    store.keep_count(last.gel)
+    return last
 
 
 def count(store: Store, *presses: PressRecord) -> Recorded:
     """Record presses without messages; return what is known of the last one."""
-    return [store.record_press(press, lambda recorded: []) for press in presses][-1]
+    last = [store.record_press(press, lambda recorded: []) for press in presses][-1]
+    store.keep_count(last.gel)
+    return last
 
 
 @pytest.fixture
