@@ -130,19 +130,14 @@ def _read_press(
     if Path(press).is_dir():
         return _read_recorded(Path(press), number)
     if Path(press).is_file():
-        return _read_pictures(Path(press), free)
+        if free is None:
+            raise ConfigError(f"{press} is a picture; give one of the free gel with --free")
+        return _Shown(_read_picture(Path(press)), _read_picture(free), None, press, time.time_ns())
     if Path(press).name != press or Path(press).suffix:  # no press_id
         raise ConfigError(
             f"{press} does not exist; name a picture, a recording's folder, or an archived press"
         )
     return _read_archived(press, find_database(), archive)
-
-
-def _read_pictures(press: Path, free: Path | None) -> _Shown:
-    """Read two files. Errors: ConfigError, HeightError."""
-    if free is None:
-        raise ConfigError(f"{press} is a picture; give one of the free gel with --free")
-    return _Shown(_read_picture(press), _read_picture(free), None, str(press), time.time_ns())
 
 
 def _read_picture(path: Path) -> U8:

@@ -93,7 +93,8 @@ def history(
     elif output is not None:
         typer.echo(f"{write_count(write_history(output, rows), 'press')} in {output}")
     elif as_json:
-        _print_json(rows)
+        for row in rows:
+            typer.echo(json.dumps(asdict(row)))
     else:
         _print(rows, count_verdicts(path, query) if count is None else None)
 
@@ -181,11 +182,6 @@ def _print_shadows(rows: Iterable[HistoryRow]) -> None:
             typer.echo(f"  {one.press_id}  {one.verdict}, shadow {one.other}{said_of_it}")
     if not pairs:
         typer.echo("no press that fits was judged by a shadow")
-
-
-def _print_json(rows: Iterable[HistoryRow]) -> None:
-    for row in rows:
-        typer.echo(json.dumps(asdict(row)))
 
 
 def _print(rows: Iterable[HistoryRow], totals: Mapping[str, int] | None) -> None:

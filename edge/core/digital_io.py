@@ -108,17 +108,8 @@ class OutputRule:
             raise ValueError(f"the output on channel {self.channel} names nothing that switches it on")
         if (self.pulse_ns is None) != (self.deadline_ns is None):
             raise ValueError(f"the output on channel {self.channel} has a pulse and a deadline, or neither")
-        if self.pulse_ns is not None:
-            self._check_pulse()
-
-    @property
-    def passed_over(self) -> tuple[str, ...]:
-        """Verdicts besides `pass` that a pulse at `fail` leaves out: as a reject gate it lets these parts through."""
-        if self.pulse_ns is None or "fail" not in self.when:
-            return ()
-        return tuple(word for word in VERDICTS if word != "pass" and word not in self.when)
-
-    def _check_pulse(self) -> None:
+        if self.pulse_ns is None:
+            return
         if self.safe or self.blink_ns is not None:
             raise ValueError(f"the pulse on channel {self.channel} starts from off: no `safe`, no blinking")
         if others := sorted(self.when - set(VERDICTS)):
@@ -126,6 +117,13 @@ class OutputRule:
                 f"the pulse on channel {self.channel} follows a verdict ({', '.join(VERDICTS)}), "
                 f"found {', '.join(others)}"
             )
+
+    @property
+    def passed_over(self) -> tuple[str, ...]:
+        """Verdicts besides `pass` that a pulse at `fail` leaves out: as a reject gate it lets these parts through."""
+        if self.pulse_ns is None or "fail" not in self.when:
+            return ()
+        return tuple(word for word in VERDICTS if word != "pass" and word not in self.when)
 
 
 @dataclass(frozen=True)

@@ -65,13 +65,10 @@ def decide(score: float, threshold: float, tolerance: float = 0.0) -> Verdict:
         )
     if not (math.isfinite(tolerance) and tolerance >= 0):
         raise ValueError(f"a tolerance is finite and not negative, found {tolerance}")
-    return Verdict(_kind(score, threshold, tolerance), float(score), float(threshold), float(tolerance))
-
-
-def _kind(score: float, threshold: float, tolerance: float) -> Kind:
+    kind = Kind.FAIL if score > threshold else Kind.PASS
     if tolerance > 0 and threshold - tolerance <= score <= threshold + tolerance:
-        return Kind.UNSURE
-    return Kind.FAIL if score > threshold else Kind.PASS
+        kind = Kind.UNSURE
+    return Verdict(kind, float(score), float(threshold), float(tolerance))
 
 
 class Cause(StrEnum):

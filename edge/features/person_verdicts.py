@@ -122,7 +122,10 @@ class PersonVerdicts(PressStage):
         again = self._store.read("reading what is asked again", self._asked_again.read)
         most = max(0, self._per_day - answered)
         again, known = again[:most], {one.press_id for one in again} | said.keys()
-        new_gel_ns = None if mounted is None else self._find_new_gel(mounted)
+        new_gel_ns = None
+        if mounted is not None:  # since when its bundle is used on a gel on which it is not proven
+            key = GelBundle(mounted.serial, mounted.gel_id, mounted.bundle_id)
+            new_gel_ns = self._store.read("reading the proof on this gel", partial(unproven_since, key=key))
         questions = [*again, *choose_questions(self._presses, known, most - len(again), new_gel_ns)]
         if (answered, questions) != self._shown:
             self._show(answered, questions)
@@ -163,11 +166,6 @@ class PersonVerdicts(PressStage):
             and one.score_ratio is not None
         ]
         return find_broken_promise(judged, said, max(limit.alpha, limit.alpha_floor))
-
-    def _find_new_gel(self, mounted: Mounted) -> int | None:
-        """Find since when the bundle in use is used on a gel on which it is not proven; None where it is proven."""
-        key = GelBundle(mounted.serial, mounted.gel_id, mounted.bundle_id)
-        return self._store.read("reading the proof on this gel", partial(unproven_since, key=key))
 
     def _show(self, answered: int, questions: list[Asked]) -> None:
         self._shown = answered, questions

@@ -261,20 +261,15 @@ def _open_publisher(
 ) -> Publisher:
     """Open the sinks for the publisher, which alone closes them: it waits for none that does not return."""
     path, before = config.store.path, _names_before(config)
+    sinks: dict[str, Sink] = {}
     with ExitStack() as opened:
-        sinks = _open_sinks(config, context, opened)
+        for name, chosen in zip(sink_names(config.sinks), config.sinks, strict=True):
+            plugin = registry.sink(chosen.plugin)
+            sinks[name] = sink = plugin.open(plugin.Options.model_validate(chosen.options), context)
+            opened.callback(sink.close)
         publisher = Publisher(path, sinks, retained_state, clock, random.Random(), lock=lock, before=before)
         opened.pop_all()
     return publisher
-
-
-def _open_sinks(config: Config, context: Station, closing: ExitStack) -> dict[str, Sink]:
-    sinks: dict[str, Sink] = {}
-    for name, chosen in zip(sink_names(config.sinks), config.sinks, strict=True):
-        plugin = registry.sink(chosen.plugin)
-        sinks[name] = sink = plugin.open(plugin.Options.model_validate(chosen.options), context)
-        closing.callback(sink.close)
-    return sinks
 
 
 def _opener(

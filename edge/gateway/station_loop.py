@@ -237,31 +237,27 @@ class StationLoop:
         parts.status.counts(parts.store.findings())
         parts.status.clear_fault("store")
         self._say_info()
+        recorder = Recorder(
+            parts.store,
+            identity.serial,
+            config.station.place,
+            parts.clock,
+            parts.pictures.add,
+            parts.stages,
+            heatmap=config.station.heatmap,
+            keeps_heatmap=config.keeps_heatmap,
+        )
         self.session = InspectionSession(
             gel,
             parts.selection.inspector,
             config.contact.settings(is_external=config.inspection.trigger == "command"),
             GelFiles(config.store.path.with_suffix(".references")),
-            self._recorder_of(identity.serial),
+            recorder,
             parts.status,
             parts.clock,
             parts.stages,
         )
         return self.session
-
-    def _recorder_of(self, serial: str) -> Recorder:
-        parts = self.parts
-        place, add_picture = parts.config.station.place, parts.pictures.add
-        return Recorder(
-            parts.store,
-            serial,
-            place,
-            parts.clock,
-            add_picture,
-            parts.stages,
-            heatmap=parts.config.station.heatmap,
-            keeps_heatmap=parts.config.keeps_heatmap,
-        )
 
     def _record(self) -> None:
         """Write the presses that wait. Errors: StoreError; no press is lost."""

@@ -328,16 +328,13 @@ class Connection:
             self._is_lost = True
             self.why_lost = self.why_lost or why
             self._changed.notify_all()
-        self._let_go()
-        if self._is_established:  # an attempt that failed was reported by its exception
-            self._on_lost()
-
-    def _let_go(self) -> None:
-        """End the circle of client and connection. The library closes two sockets of its own with the client, and in a
-        circle that would wait for the garbage collector."""
+        # The library closes two sockets of its own with the client, and in a circle of client and connection that would
+        # wait for the garbage collector.
         client = self._client
         client.on_connect = client.on_disconnect = client.on_publish = None
         client.on_subscribe = client.on_message = None
+        if self._is_established:  # an attempt that failed was reported by its exception
+            self._on_lost()
 
     # Called by the library's thread, which never waits here.
 

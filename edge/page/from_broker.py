@@ -125,7 +125,9 @@ class BrokerStation:
             self._begin(connection)
             try:
                 while not self._closing.is_set():
-                    if (message := next_message(inbox, self._seconds_left())) is None:
+                    at = self._silent_at
+                    left_s = None if at is None else max(0.0, at - time.monotonic())
+                    if (message := next_message(inbox, left_s)) is None:
                         self._note_silence()
                     else:
                         self.see(message)
@@ -146,9 +148,6 @@ class BrokerStation:
                 "that its gateway runs"
             )
         )
-
-    def _seconds_left(self) -> float | None:
-        return None if self._silent_at is None else max(0.0, self._silent_at - time.monotonic())
 
     def _note_silence(self) -> None:
         """A frozen gateway, or a network that is silent, is lost to the broker, or to us, much later."""

@@ -169,7 +169,10 @@ class PressDetector:
         return None if probable is None or frame is None else (frame, probable.contact)
 
     def _take(self, frame: CameraFrame) -> tuple[list[Event], View | None]:
-        if not self._is_sound(frame) or not self._is_new(frame):
+        if frame.damage is not None:
+            self._count_corrupt(f"frame {frame.sequence} is {frame.damage}", frame)
+            return [], None
+        if not self._is_new(frame):
             return [], None
         events = self._interrupted_before(frame)
         size = len(frame.payload)
@@ -192,11 +195,6 @@ class PressDetector:
         is_settled = any(isinstance(event, PressSettled) for event in events)
         self._held.look(self.tracker.state, size, is_settled=is_settled)
         return events, self.tracker.level
-
-    def _is_sound(self, frame: CameraFrame) -> bool:
-        if frame.damage is not None:
-            self._count_corrupt(f"frame {frame.sequence} is {frame.damage}", frame)
-        return frame.damage is None
 
     def _is_new(self, frame: CameraFrame) -> bool:
         """False for the last frame delivered again, and for one whose time does not rise."""

@@ -133,18 +133,14 @@ class OverviewRules:
         changed = None if self.empty is None else share_of_change(seen, self.zone.of(self.empty))
         codes = read_codes(seen, self.codes, self.family) if self.codes else ()
         ids = tuple(sorted({one for code in codes if (one := self._piece_in(code))}))
-        return OverviewView(jpeg, None, changed, self._is_present(changed, codes), codes, ids)
+        is_changed = None if changed is None else changed >= self.present_share
+        is_present = True if codes else is_changed  # a code that can be read is a part
+        return OverviewView(jpeg, None, changed, is_present, codes, ids)
 
     def _piece_in(self, code: Code) -> str | None:
         """The id of the piece in a code's text, None where the pattern has no group for it, or does not fit."""
         match = None if self.pattern is None else self.pattern.fullmatch(code.text)
         return None if match is None else match.groupdict().get("piece")
-
-    def _is_present(self, changed: float | None, codes: tuple[Code, ...]) -> bool | None:
-        """Tell whether a part is there; a code that can be read is a part."""
-        if codes:
-            return True
-        return None if changed is None else changed >= self.present_share
 
     def part_in(self, code: Code) -> str | None:
         """The part that a code names, None where its text does not fit the pattern."""

@@ -66,7 +66,8 @@ class FineSearch:
         """Refine the poses in that many rounds. slopes: of a press, in the size of the part's."""
         refined = list(poses)
         for _ in range(rounds):
-            refined, _ = self._round(slopes, refined)
+            steps, _ = self._steps(*self._read(slopes, refined))
+            refined = [pose.after(step) for pose, step in zip(refined, steps, strict=True)]
         return refined
 
     def refine_best(self, slopes: F32, poses: Sequence[Pose], rounds: int, most: int) -> list[Pose]:
@@ -103,10 +104,6 @@ class FineSearch:
         turn = np.eye(3)  # a round moves the part before its turn, and the pose is a shift after it
         turn[:2, :2] = pose.matrix((self._w, self._h))[:, :2]
         return Alignment(pose, self.agreement(slopes, pose)[0], turn @ covariance @ turn.T)
-
-    def _round(self, slopes: F32, poses: Sequence[Pose]) -> tuple[list[Pose], F64]:
-        steps, covariance = self._steps(*self._read(slopes, poses))
-        return [pose.after(step) for pose, step in zip(poses, steps, strict=True)], covariance
 
     def _read(self, slopes: F32, poses: Sequence[Pose]) -> tuple[F32, F32]:
         """The press at the places in these poses, float32 (n, 2 * places), and 1 where it is seen, (n, places)."""
