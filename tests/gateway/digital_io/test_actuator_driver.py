@@ -1,6 +1,7 @@
 """The owner of a relay board, on the test's own clock and without its thread."""
 
 import threading
+from collections.abc import Callable
 
 import pytest
 from fake_io import FakeRelay, FixedBackoff, run
@@ -96,17 +97,28 @@ def test_another_verdict_and_a_late_pulse_switch_nothing(verdict: str, age_ms: i
     assert bench.late == late
 
 
-def test_a_pulse_that_a_slow_relay_starts_late_is_cut_and_reported() -> None:
-    """Writing took 400 ms: the gate is switched off at once."""
+@pytest.mark.parametrize(
+    ("hinder", "why"),
+    [
+        (
+            lambda bench: setattr(bench.relay, "write_s", 0.4),
+            "100 ms after its deadline, and is switched off at once",
+        ),
+        (lambda bench: setattr(bench.relay, "plugged_in", False), "not given: the relay is gone"),
+        (lambda bench: bench.clock.sleep(2.5), "not given: the station's loop does not answer"),
+    ],
+    ids=["writing takes 400 ms", "pulled since the last write", "the loop hangs"],
+)
+def test_a_pulse_that_is_held_up_opens_no_gate_and_is_reported(
+    hinder: Callable[[Bench], object], why: str
+) -> None:
     bench = Bench()
-    bench.run(1, READY)
-    bench.relay.write_s = 0.4
+    bench.run(0.5, READY)
+    hinder(bench)
     bench.driver.pulse("fail", bench.clock.monotonic_ns())
     bench.driver.step()
 
-    assert bench.late == [
-        "the pulse on channel 3 for 'fail' was 100 ms after its deadline, and is switched off at once"
-    ]
+    assert bench.late == [f"the pulse on channel 3 for 'fail' was {why}"]
     assert 3 not in bench.relay.on
 
 
@@ -126,17 +138,6 @@ def test_a_pulse_while_the_board_is_away_is_reported_at_its_deadline() -> None:
 
     assert (3, True) not in bench.switched()
     assert len(bench.late) == 1
-
-
-def test_a_pulse_whose_write_fails_is_reported() -> None:
-    """The cable was pulled since the last write."""
-    bench = Bench()
-    bench.run(0.5, READY)
-    bench.relay.plugged_in = False
-    bench.driver.pulse("fail", bench.clock.monotonic_ns())
-    bench.driver.step()
-
-    assert bench.late == ["the pulse on channel 3 for 'fail' was not given: the relay is gone"]
 
 
 def test_a_board_that_vanished_in_silence_is_noticed_and_opened_again() -> None:
@@ -200,20 +201,6 @@ def test_a_driver_with_a_defect_is_an_alarm_and_is_tried_again(caplog: pytest.Lo
     bench.run(2, READY)
 
     assert bench.faults[-1] is None
-
-
-def test_a_loop_that_hangs_gives_no_pulse() -> None:
-    """What it asked for before is reported."""
-    bench = Bench((OutputRule(3, frozenset({"fail"}), pulse_ns=MS, deadline_ns=9_000 * MS),))
-    bench.run(1, READY)
-    bench.clock.sleep(2.5)
-    bench.driver.pulse("fail", bench.clock.monotonic_ns())
-    bench.driver.step()
-
-    assert bench.late == [
-        "the pulse on channel 3 for 'fail' was not given: the station's loop does not answer"
-    ]
-    assert bench.relay.on == set()
 
 
 def test_closing_leaves_the_outputs_of_stopped_and_gives_no_pulse() -> None:
