@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 from command_line import gelgate
 
-from edge.core.errors import ConfigError
 from edge.extras import needs
 
 VERBS = {
@@ -39,9 +38,3 @@ def test_what_is_installed_is_not_refused() -> None:
     needs("studies", "this test")
     with pytest.raises(KeyError):
         needs("exprot", "a misspelt extra")
-
-
-def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(ConfigError, match="training needs torch, not installed here"):
-        needs("train", "training")

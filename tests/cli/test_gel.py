@@ -59,13 +59,6 @@ def test_with_two_sensors_one_must_be_named(database: Path) -> None:
         replace(database=database)
 
 
-def test_a_database_that_is_not_there_is_not_made(tmp_path: Path) -> None:
-    """A mistyped path does not become an empty ledger."""
-    with pytest.raises(ConfigError, match="does not exist"):
-        show(database=tmp_path / "typo.db")
-    assert not (tmp_path / "typo.db").exists()
-
-
 def bundle_on_a_new_gel(database: Path, presses: int) -> None:
     """A bundle that was used on the first gel, with presses without an alarm on the second one."""
     part, made = PartPosition("bolt", "crest"), MadeOn("2026-01-31")

@@ -250,6 +250,7 @@ def test_bad_input_is_a_sentence(
     sentence = ended.sentence()
     assert [word for word in words if word not in sentence] == [], sentence
     assert not (bench.folder / "made").exists()
+    assert not (bench.folder / "absent.db").exists()  # a mistyped path does not become an empty ledger
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.ENOTDIR])

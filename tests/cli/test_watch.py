@@ -12,7 +12,6 @@ from real_brokers import require
 
 from edge.cli.watch import watch as watch_command
 from edge.clock import ManualClock
-from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
 from edge.core.printable import printable
 from edge.messaging.descriptions.asyncapi import asyncapi_message
@@ -153,12 +152,6 @@ def test_what_cannot_be_read_is_told_and_left_out(broker: LocalBroker) -> None:
     assert [kind for kind, _ in heard] == ["state", "alarm", "result"]
     assert heard[-1][1]["press_id"] == IDS[3]
     assert len([sentence for sentence in messages if "cannot be read" in sentence]) == len(payloads)
-
-
-def test_no_broker_is_a_sentence() -> None:
-    """Host and port are named, and what to do."""
-    with pytest.raises(SinkUnavailable, match=r"no broker answers at 127\.0\.0\.1:1 .*start it, or correct"):
-        list(watch(Broker("127.0.0.1", 1, "watcher"), station_filter("gelgate")))
 
 
 @each_broker

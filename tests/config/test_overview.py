@@ -90,16 +90,6 @@ def test_an_unknown_overview_camera_is_refused_with_the_nearest_name(tmp_path: P
         load_config(path)
 
 
-def test_a_picture_of_the_empty_station_must_be_one(tmp_path: Path) -> None:
-    """It is read at the start, and refused there."""
-    (tmp_path / "empty.jpg").write_text("no picture")
-    table = load_config(written(tmp_path, 'empty = "empty.jpg"')).overview
-    assert table is not None
-
-    with pytest.raises(ConfigError, match=r"overview\.empty: .*empty\.jpg is no picture"):
-        read_rules(table)
-
-
 def test_the_example_of_the_manual_loads(tmp_path: Path) -> None:
     page = (Path(__file__).resolve().parents[2] / "docs/operations.md").read_text(encoding="utf-8")
     table = page.partition("[overview]\n")[2].partition("```")[0]

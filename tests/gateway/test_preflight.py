@@ -229,7 +229,11 @@ AWAY = 'plugin = "recorded"\noptions = { recording = "away" }\n'
         # It is waited for; a picture of the empty station that is none will not come by waiting.
         (AWAY, "away.*; until it comes results come without its still$", False),
         (AWAY + 'codes = ["qr"]', "away.*; until it comes presses are refused$", False),
-        ('plugin = "virtual_overview"\nempty = "empty.jpg"', "empty.jpg", True),
+        (
+            'plugin = "virtual_overview"\nempty = "empty.jpg"',
+            r"overview\.empty: .*empty\.jpg is no picture",
+            True,
+        ),
     ],
 )
 def test_an_overview_camera_is_found_by_name_or_waited_for(
