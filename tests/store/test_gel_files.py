@@ -84,17 +84,6 @@ def test_a_record_is_read_as_it_was_kept(tmp_path: Path) -> None:
     assert GelFiles(tmp_path).load("28J3", "gel-2", "scars", ScarRecord.from_file) is None
 
 
-def test_a_record_of_an_earlier_version_keeps_its_scars(tmp_path: Path) -> None:
-    """It had one more plane at the end, which is not used any more."""
-    GelFiles(tmp_path).save("28J3", "gel-1", "scars", record().planes)
-    path = next(tmp_path.rglob("*.scars.npy"))
-    np.save(path, np.concatenate([record().planes, np.ones((1, 120, 160), np.float32)]))
-    found = GelFiles(tmp_path).load("28J3", "gel-1", "scars", ScarRecord.from_file)
-
-    assert found is not None
-    assert np.array_equal(found.planes, record().planes)
-
-
 @pytest.mark.parametrize(
     "damaged",
     [b"", b"no array", np.zeros((PLANES, 60, 80), np.float32), np.zeros((3, 120, 160), np.float32)],

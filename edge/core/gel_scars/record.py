@@ -53,11 +53,10 @@ class ScarRecord:
 
     @classmethod
     def from_file(cls, planes: NDArray[Any]) -> Self:
-        """Make the record from planes of the view's size; versions before this one had one more plane at the end.
-        Errors: ValueError."""
+        """Make the record from planes of the view's size. Errors: ValueError."""
         if planes.shape[1:] != VIEW_SIZE[::-1]:
             raise ValueError(f"it is {planes.shape}")
-        return cls(planes[:PLANES])
+        return cls(planes)
 
     @classmethod
     def empty(cls, shape: tuple[int, int]) -> Self:
