@@ -18,7 +18,7 @@ from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.colours import colour_warnings, nominal_colours, refuses
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.preparation import smooth_presses, take_out_dots
-from calibration.fitting.self_check import apart_warnings, black_warnings
+from calibration.fitting.self_check import apart_warnings, black_warnings, list_apart
 from edge.core.arrays import F64
 from edge.core.contact.wear import wear
 from edge.core.errors import FitError, PoseNotFound
@@ -74,7 +74,8 @@ def carry_bundle(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -
     said = measuring.warnings(presses, bundle.manifest.frame, bundle.manifest.threshold.alpha)
     scorer = Scorer(_weigh_relief(bundle, 0), config.threads)
     scores = _scores(scorer, presses)
-    _check_change(np.array(bundle.manifest.threshold.nominal_scores), scores)
+    before = np.array(bundle.manifest.threshold.nominal_scores)
+    _check_change(before, scores)
     golden = golden_frames(scorer, presses.frames) if bundle.registration is None else list(bundle.golden)
     tolerance = measure_tolerance(scorer, golden, config.threads)
     threshold = _threshold(bundle.manifest.threshold, presses, scores, tolerance)
@@ -84,7 +85,7 @@ def carry_bundle(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -
         _check_relief(scorer, presses, scores, threshold.value)
         golden = [score_again(frame, scorer) for frame in golden]
     facts, free = _facts(bundle, presses, config, threshold, tolerance), presses.no_contact
-    apart = apart_warnings(scores, presses.names)
+    apart = _warn_of_apart(before, scores, presses.names)
     said += measuring.rate_warnings(presses.specimens, threshold.alpha) + colour_warnings(facts.colours)
     facts = _warn(facts, [*said, *_check_black(scorer, facts, apart), *apart])
     free_gel = most_typical(free) if bundle.free_gel is not None and free is not None else None
@@ -221,6 +222,14 @@ def _check_change(before: F64, now: F64) -> None:
             f"{1 / MOST_CHANGE:.2f} to {MOST_CHANGE:g} times: another part, damaged parts, or a gel too different to "
             "carry the bank over; check the parts, or fit a bundle on this gel"
         )
+
+
+def _warn_of_apart(before: F64, now: F64, names: Sequence[str]) -> list[str]:
+    """Write a sentence for each press that stands apart. Two damaged ones of so few hide each other, so the scores of
+    before are compared too, at the level of the new gel."""
+    both = np.concatenate([now, before * (np.median(now) / np.median(before))])
+    said = apart_warnings(both, [*names, *("of the old gel" for _ in before)])
+    return [words for k, words in zip(list_apart(both), said, strict=True) if k < len(names)]
 
 
 def _threshold(

@@ -222,6 +222,19 @@ def test_it_says_of_its_presses_what_a_fit_says() -> None:
         carry_bundle(bundle, again, CONFIG)
 
 
+def test_two_damaged_presses_do_not_hide_each_other() -> None:
+    """Each sets a limit by which the other is usual; beside the presses of the fit neither is."""
+    frames = pressed(8).frames.copy()
+    frames[3], frames[6] = pressed(2, 9, dent=True).frames
+    presses = replace(pressed(8), frames=frames)
+    warnings = carry_bundle(old(), presses, CONFIG).manifest.provenance.warnings
+
+    assert sorted(words[:15] for words in warnings if "stands apart" in words) == [
+        "press 's003_p0'",
+        "press 's006_p0'",
+    ]
+
+
 def test_a_limit_by_which_a_black_frame_passes_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """As at a fit: unless the gateway refuses it for its colours, as it does here."""
     high = new().manifest.threshold.model_copy(update={"value": 1e9})
