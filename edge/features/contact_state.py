@@ -13,6 +13,7 @@ from edge.core.contact_guidance import guide
 from edge.core.contact_state import OVERLOAD_TIMES, ContactFollower, ContactState
 from edge.core.digital_io import StationView
 from edge.core.imaging.decode import VIEW_SIZE
+from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import NominalContact
 from edge.core.press import Press
 from edge.core.sentence import Sentence
@@ -39,7 +40,7 @@ class ContactWatch(PressStage):
     def __init__(self, parts: StageParts) -> None:
         self.follower = ContactFollower()
         self._parts, self._clock = parts, parts.clock
-        self._seen_ns = parts.clock.monotonic_ns()
+        self._taken_ns = self._seen_ns = parts.clock.monotonic_ns()
         self._is_ready = False
         self._look: Look | None = None
         self._contact: NominalContact | None = None
@@ -63,6 +64,9 @@ class ContactWatch(PressStage):
         self.follower.nominal, self._contact = manifest.strength, manifest.contact
         self._reach = _place_reach(inspector)
 
+    def take(self, frame: CameraFrame) -> None:
+        self._taken_ns = self._clock.monotonic_ns()
+
     def see(self, event: Event) -> None:
         """Say at once that a press rests. What else an event means is said with the look at its frame."""
         self.follower.see(event)
@@ -75,7 +79,7 @@ class ContactWatch(PressStage):
 
     def look(self, look: Look) -> None:
         if look.sight.seen_ns == look.timestamp_ns:
-            self._seen_ns = self._clock.monotonic_ns()
+            self._seen_ns = self._taken_ns  # a score may have taken long since, and nobody has looked
         self.follower.look(look)
         if look.seen is not None:
             self._look = look
@@ -83,6 +87,7 @@ class ContactWatch(PressStage):
         self._say()
 
     def record(self, press: Press, gel: GelRecord) -> None:
+        self._lose_unseen()
         self.follower.record(press.press_id)
         self._say()
 
@@ -92,12 +97,15 @@ class ContactWatch(PressStage):
 
     def turn(self, mounted: Mounted | None) -> None:
         """Notice that frames have ended, and record overloads. Errors: StoreError; they go on waiting."""
-        if self._clock.monotonic_ns() - self._seen_ns > GAP_S * 1e9:
-            self.follower.lose()
-            self._say()
+        self._lose_unseen()
         while self._waiting:
             self._parts.store.begin_act(self._waiting[0], within_s=0)
             self._waiting.popleft()
+
+    def _lose_unseen(self) -> None:
+        if self._clock.monotonic_ns() - self._seen_ns > GAP_S * 1e9:
+            self.follower.lose()
+            self._say()
 
     def _watch_overload(self) -> None:
         """Raise the alarm at the first frame; only a gel that is seen free ends it."""

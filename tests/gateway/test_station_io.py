@@ -14,7 +14,7 @@ from stepped_station import SteppedStation
 
 from edge.clock import ManualClock, SystemClock
 from edge.config import load_config
-from edge.core.contact.events import PressBegan
+from edge.core.contact.events import PressBegan, PressSettled
 from edge.core.digital_io import OutputRule, StationView
 from edge.core.errors import ConfigError, DeviceNotFound
 from edge.core.press import Press
@@ -24,6 +24,9 @@ from edge.features.outputs.stage import Outputs, describe_actuator
 from edge.features.reference_press import ReferenceGuard
 from edge.features.snapshots import Snapshots
 from edge.gateway.build import open_station
+from edge.model.inspector import Inspector
+from edge.press_stage import PressStage
+from edge.store.gel_ledger import GelRecord
 
 ANDON = """
 [[actuators]]
@@ -214,6 +217,35 @@ def test_a_pass_does_not_outlive_a_time_in_which_the_loop_did_not_look(
         station.switch()
         assert station.loop.is_pressed
         assert on(tmp_path) == set()
+
+
+class Slow(PressStage):
+    """Takes long to judge a press, or to record it."""
+
+    is_awaited = True
+
+    def __init__(self, where: str) -> None:
+        self.where, self.clock = where, ManualClock()
+
+    def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
+        self.clock.sleep(2.0 * (self.where == "judge"))
+        return press
+
+    def record(self, press: Press, gel: GelRecord) -> None:
+        self.clock.sleep(2.0 * (self.where == "record"))
+
+
+@pytest.mark.parametrize("where", ["judge", "record"])
+def test_no_pass_and_no_lift_come_of_a_turn_that_took_long(
+    tmp_path: Path, configure: Make, where: str
+) -> None:
+    """The detector, or the disk, hung for 2 s: what presses now may be another part, which a robot would lift."""
+    slow = Slow(where)
+    with IoStation(configure(LIFT_NOW.replace("free", "pass")), {"slow": slow}) as station:
+        slow.clock = station.clock
+        station.play_until(lambda: len(station.reports) == 1)
+        assert station.verdicts == ["pass"]
+        assert not on(tmp_path) & {1, 2}
 
 
 def test_a_pass_is_shown_only_when_it_is_recorded_and_a_fail_at_once(tmp_path: Path, configure: Make) -> None:

@@ -55,6 +55,7 @@ class Outputs(PressStage):
         self._awaited_ns: int | None = None
         self._came_ns: int | None = None  # the newest frame, with a time of its own
         self._seen_ns: int | None = None
+        self._taken_ns: int | None = None  # when the loop took the newest frame
         self._judged_id: str | None = None
         self._recorded_id: str | None = None
         self._faults: dict[str, dict[str, str]] = {"trigger_device": {}, "actuator": {}}
@@ -142,19 +143,24 @@ class Outputs(PressStage):
 
         A station that does not inspect forgets the verdict, and a pass that is not recorded yet: when it inspects
         again, it has judged nothing yet. While a contact does not end, or the sensor shows nothing, another part may
-        lie on it, and no pass is shown. When a piece of several places is begun, nothing of the one before is shown.
+        lie on it, and no pass is shown; nor where this turn took so long, until the next frame is looked at. When a
+        piece of several places is begun, nothing of the one before is shown.
         """
+        now_ns = self._clock.monotonic_ns()
         if view.state != "ready":
             self._verdict, self._awaited_ns = None, None
-        is_unseen = self._seen_ns is not None and self._clock.monotonic_ns() - self._seen_ns > UNSEEN_S * 1e9
+        is_unseen = self._seen_ns is not None and now_ns - self._seen_ns > UNSEEN_S * 1e9
         is_other_piece = view.piece_id not in (None, self._piece_id)
         if is_other_piece or (self._verdict == "pass" and (is_unseen or "contact" in view.alarms)):
             self._verdict = None
+        is_late = self._taken_ns is not None and now_ns - self._taken_ns > UNSEEN_S * 1e9
+        verdict = None if self._verdict == "pass" and is_late else self._verdict
         for driver in self.drivers:
-            driver.show(replace(view, verdict=self._verdict))
+            driver.show(replace(view, verdict=verdict))
 
     def take(self, frame: CameraFrame) -> None:
         self._came_ns = None if frame.is_on_demand else frame.timestamp_ns
+        self._taken_ns = self._clock.monotonic_ns()
 
     def see(self, event: Event) -> None:
         """When a press begins, no verdict of an earlier one is shown any more."""
