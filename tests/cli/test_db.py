@@ -41,7 +41,8 @@ def test_a_backup_beside_the_journal_of_the_file_before_is_refused(database: Pat
     gelgate("db", "backup", tmp_path / "backup.db", "--database", database)
     left = tmp_path / "gelgate.db-wal"
     with Store(database) as store:
-        store.record_press(PressRecord(new_ulid(T0), T0, "2BNN4ZE7", "bolt", "pass"), lambda gel: [])
+        press = PressRecord(new_ulid(T0), T0, "2BNN4ZE7", "bolt", "pass")
+        store.keep_count(store.record_press(press, lambda gel: []).gel)
         journal = left.read_bytes()  # with the newest press
     shutil.copy(tmp_path / "backup.db", database)
     left.write_bytes(journal)
