@@ -356,8 +356,7 @@ def _read_registration(
     """Read the part in its pose; None for a bundle without one. frame: (h, w) of the region. Errors: BundleCorrupt."""
     if entry is None:
         return None
-    # Most bundles need none of it.
-    from edge.core.registration.colours import SlopeColours
+    from edge.core.registration.colours import SlopeColours  # most bundles need none of it
     from edge.core.registration.pose import GEL_LIMIT_STEPS
     from edge.core.registration.registrar import PartInPose
 
@@ -369,6 +368,7 @@ def _read_registration(
             learnt=read_picture(archive, entry.learnt, frame)[..., 0] > 127,
             colours=SlopeColours(np.array(entry.colours)),
             symmetry=entry.symmetry if entry.is_turning else 0,
+            nearly=entry.nearly,
             least_match=entry.least_match,
             least_seen=entry.least_seen,
             is_held=entry.is_held,

@@ -186,6 +186,7 @@ def _registration_entry(part: PartInPose, keep: Callable[[str, bytes], FileEntry
         colours=(red, green, blue),
         is_turning=part.is_turning,
         symmetry=max(1, part.symmetry),
+        nearly=part.nearly,
         least_match=part.least_match,
         least_seen=part.least_seen,
         is_held=part.is_held,

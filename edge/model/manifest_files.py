@@ -101,11 +101,11 @@ class RegistrationEntry(Entry):
     """`PartInPose`: free, template and learnt are pictures of the region, learnt white where the bank is learnt.
 
     colours: for red, green and blue the levels of the two slopes. is_turning: false where the part has no turn, as a
-    ball. symmetry: how often it looks the same in a full turn; 1 in bundles that do not state it. least_match,
-    least_seen: a press below either is rejected. is_held: the part lies near the bank's pose; false in bundles that do
-    not state it. scores_relief_to_end: false in bundles that do not state it; they were
-    fitted with a seam around what a press shows that is not scored. gel_limits: a grey picture of the sixteenths by
-    which the limit is higher at a place of the gel; none where it is one limit.
+    ball. symmetry, nearly: how often it looks the same in a full turn, and nearly so; 1 in bundles that do not state
+    it. least_match, least_seen: a press below either is rejected. is_held: the part lies near the bank's pose; false in
+    bundles that do not state it. scores_relief_to_end: false in bundles that do not state it; they were fitted with a
+    seam around what a press shows that is not scored. gel_limits: a grey picture of the sixteenths by which the limit
+    is higher at a place of the gel; none where it is one limit.
     """
 
     free: FileEntry
@@ -114,6 +114,7 @@ class RegistrationEntry(Entry):
     colours: tuple[Levels, Levels, Levels]
     is_turning: bool
     symmetry: int = Field(default=1, ge=1)
+    nearly: int = Field(default=1, ge=0, le=12)
     least_match: float = Field(gt=0, lt=1)
     least_seen: float = Field(ge=0, le=1)
     is_held: bool = False

@@ -108,9 +108,10 @@ class PoseChoice:
                 f"the part is not recognised in {list_names(lost, len(names))}: a gateway rejects such presses; press "
                 f"nearer to the middle, and leave these out (--leave-out '{lost[0]}')"
             )
-        if self.learnt.nearly == 1:
+        nearly = self.learnt.part.nearly
+        if nearly == 1:
             return found
-        steps = f"by {360 / self.learnt.nearly:.0f} degrees" if self.learnt.nearly else "by other angles"
+        steps = f"by {360 / nearly:.0f} degrees" if nearly else "by other angles"
         return [
             *found,
             f"the turn of presses is not sure: some agree nearly as well turned {steps}; where one is turned wrong, "
@@ -202,7 +203,7 @@ def choose_pose(
         return PoseChoice(learnt, f"presses are registered, as asked for; {apart}", faults=faults)
     has_copies = len(presses) <= FEW  # they are moved, so the bank knows what lies further away
     if spread <= HELD_MM and learner.detector.compares_places and not has_copies:
-        held = replace(learnt.part, is_held=True, symmetry=min(1, learnt.part.symmetry))
+        held = replace(learnt.part, is_held=True, symmetry=min(1, learnt.part.symmetry), nearly=1)
         why = f"presses are registered: {lie}, and the next may lie further away"
         return PoseChoice(keep_pose(held, presses.frames, presses.unjudged), why, faults=faults)
     if spread <= SPREAD_MM:
@@ -248,7 +249,8 @@ def _doubt(symmetry: int) -> str:
         return ", a round part without a turn"
     return (
         f"; the part looks the same {symmetry} times in a full turn: it is compared as if turned by the least of "
-        f"these, and what breaks the symmetry in sound parts hides damage there"
+        f"these, and what breaks the symmetry in sound parts hides damage there; where it does not look so, press "
+        "more, or hold it at one turn"
     )
 
 

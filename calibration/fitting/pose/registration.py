@@ -86,8 +86,6 @@ class LearntPose:
     frames: U8
     """Uint8 (n, h, w, 3), the same presses; where one has left the field it shows another press, so that the bank sees
     how much presses differ there."""
-    nearly: int = 1
-    """Presses may lie turned by this part of a full turn, as `PartInPose.symmetry`; 1 where their turns are sure."""
 
     @property
     def unrecognised(self) -> list[int]:
@@ -122,7 +120,7 @@ def learn_pose(frames: U8, free: U8, unjudged: Mask | None = None) -> LearntPose
         least_match=float(np.clip(1 - _MISMATCH_TIMES * (1 - lowest), *_LEAST_MATCH)),
         least_seen=max(_LEAST_SEEN, 0.9 * min(one.seen_share for one in registered)),
     )
-    return LearntPose(part, registered, completed(registered), _doubt(best))
+    return LearntPose(part, registered, completed(registered))
 
 
 def keep_pose(part: PartInPose, frames: U8, unjudged: Mask | None = None) -> LearntPose:
@@ -270,7 +268,7 @@ def _agree_on_turns(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
     turned = agree_on_turns(slopes, aligned.poses, step.pose, count)
     if turned is None:
         return aligned
-    alike = replace(aligned, poses=turned, symmetry=1, doubts=aligned.doubts | {count})
+    alike = replace(aligned, poses=turned, symmetry=1, doubts=frozenset({count}))
     near = FineSearch(_mean_slopes(small, alike))
     poses = [near.align(one, pose, _REFINED).pose for one, pose in zip(slopes, turned, strict=True)]
     return replace(aligned, together=replace(alike, poses=poses))
@@ -372,6 +370,7 @@ def _average(light: FreeLight, added: Sequence[F32], aligned: _Aligned) -> PartI
         learnt,
         aligned.colours,
         aligned.symmetry,
+        _doubt(aligned),
         is_held=aligned.is_held,
         scores_relief_to_end=aligned.symmetry > 0,
     )

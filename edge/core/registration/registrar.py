@@ -18,6 +18,7 @@ from edge.core.registration.pose import (
     Registered,
     depth_inside,
     gel_limits_in_pose,
+    turn_slopes,
     warp,
 )
 from edge.core.sentence import Sentence
@@ -49,6 +50,7 @@ _BESIDE_PX, _ALIKE_DOUBT = 3.0, 0.15
 _CLEARLY = 0.05
 # Less of a part says nothing of it.
 _LEAST_INSIDE = 0.25
+_TINY = float(np.finfo(np.float32).tiny)
 
 
 def shrunk(picture: F32, side: int = SIDE_PX) -> F32:
@@ -62,20 +64,41 @@ def shrunk(picture: F32, side: int = SIDE_PX) -> F32:
 
 
 class PoseSearch:
-    """Finds a part. slopes: float32 (h, w, 2), shrunk. is_turning: False where the part has no turn, as a ball."""
+    """Finds a part. slopes: float32 (h, w, 2), shrunk. is_turning: False where the part has no turn, as a ball.
 
-    def __init__(self, slopes: F32, is_turning: bool = True) -> None:
+    nearly: as `PartInPose`. By all of a press such turns agree nearly as well, and its light, which does not turn with
+    the part, may decide; so they are compared again at the places where the part differs from itself turned so.
+    """
+
+    def __init__(self, slopes: F32, is_turning: bool = True, nearly: int = 1) -> None:
         small, cells = shrunk(slopes, SIDE_PX // 2), shrunk(slopes, _COARSE_CELLS)
         self._factor = max(slopes.shape) / max(small.shape)
         self._cell = max(small.shape) / max(cells.shape)
         self._coarse = CoarseSearch(cells, _TURNS if is_turning else 1)
         self._middle = FineSearch(small, is_turning)
         self._fine = FineSearch(slopes, is_turning)
+        turns = [2 * math.pi * k / nearly for k in range(1, nearly)]
+        self._steps = [one.pose for one in self.find_at(slopes, turns)]
+        turned = np.stack([slopes, *(turn_slopes(slopes, step) for step in self._steps)])
+        inside = [field_depth(step, slopes.shape[:2]) >= 1 for step in (Pose(), *self._steps)]
+        self._tells = turned.var(axis=0).sum(axis=2) * np.logical_and.reduce(inside)
 
     def find(self, slopes: F32) -> Alignment:
         """Find the best pose. It is in pixels of these slopes, float32 (h, w, 2) in the size of the part's."""
         first = self._coarse.candidates(shrunk(slopes, _COARSE_CELLS), _CANDIDATES)
-        return self._refine(slopes, first)
+        best = self._refine(slopes, first)
+        if not self._steps:
+            return best
+        others = [self._fine.align(slopes, best.pose.after(step), _FINE_ROUNDS) for step in self._steps]
+        alike = [best, *(one for one in others if one.match > best.match - _CLEARLY)]
+        return max(alike, key=lambda one: self._tell(slopes, one.pose))
+
+    def _tell(self, slopes: F32, pose: Pose) -> float:
+        """Correlate a press in a pose with the part at the places that tell its turns apart."""
+        part, moved = self._fine.slopes, turn_slopes(slopes, pose)
+        weight = (self._tells * (field_depth(pose, part.shape[:2]) >= 1))[..., None]
+        energy = float((weight * moved * moved).sum()) * float((weight * part * part).sum())
+        return float((weight * moved * part).sum()) / math.sqrt(max(energy, _TINY))
 
     def find_at(self, slopes: F32, turns_rad: Iterable[float]) -> list[Alignment]:
         """Find the best pose near each of these turns; slopes and poses as for `find`."""
@@ -143,6 +166,9 @@ class PartInPose:
     colours: SlopeColours
     symmetry: int = 1
     """The part looks the same this many times in a full turn: 1 where its turn is known, 0 for a round part without."""
+    nearly: int = 1
+    """It nearly looks the same this many times, beyond its symmetry: a press may be turned by such a part of a turn; 0
+    by other angles."""
     least_match: float = 0.5
     """Below it a press shows no such part."""
     least_seen: float = 0.5
@@ -193,7 +219,7 @@ class Registrar:
         self._template = self.light.find_change(part.template) * part.learnt[..., None]
         self._ground = self.light.levels(self._template)
         slopes = part.colours.slopes(shrunk(self._template))
-        self._search = PoseSearch(slopes, part.is_turning)
+        self._search = PoseSearch(slopes, part.is_turning, part.nearly)
         self._steepest = _STEEPER * float(_steepness(slopes).max())
         self._factor = max(part.learnt.shape) / max(slopes.shape)
         self._shown = find_relief(part.colours.slopes(self._template)) & part.learnt
