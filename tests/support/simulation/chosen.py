@@ -134,5 +134,7 @@ class Chosen:
             rates |= dict.fromkeys(("hang up", "stop"), 4.0)
         if rng.random() < 0.2:
             rates["hang"] = 4.0
+        if seed % 25 == 24:  # else they meet too seldom for a night
+            rates |= dict.fromkeys(("damage", "fill disk", "replace gel"), 4.0)
         disturbed = {"second plc": 1.0, **rates, "plc": 4.0}
         return replace(chosen, rates=disturbed) if chosen.plc and "plc" in names else chosen

@@ -309,4 +309,18 @@ BUGS = (
         "        if False:\n",
         "was selected before its press|judged as another part",
     ),
+    Bug(
+        "what a turn has judged for seconds may be lifted",
+        "edge/features/contact_state.py",
+        "self._seen_ns = self._taken_ns",
+        "self._seen_ns = self._clock.monotonic_ns()",
+        "the loop hung since its press was seen|and press .* was not recorded yet",
+    ),
+    Bug(
+        "one view of the free gel ends a doubt",
+        "edge/core/contact_state.py",
+        "self._is_doubtful &= self.press_id is not None",
+        "self._is_doubtful = False",
+        "the loop hung since its press was seen|and press .* was not recorded yet",
+    ),
 )
