@@ -39,6 +39,9 @@ REMEMBERED: Final = 100_000
 # The longest wait for the picture of the last wanted press; it follows its result at once, unless the network is slow.
 LAST_PICTURE_S: Final = 10.0
 
+# The state of each station is retained, and comes at once.
+QUIET_S: Final = 3.0
+
 # Pauses between attempts to return to a broker that went away.
 RETURN_S: Final = 1.0
 
@@ -171,7 +174,14 @@ def _receive(broker: Broker, topic_filter: str, end: _End, tell: Callable[[str],
                 tell(
                     f"listening to broker {broker}{' again' if has_listened else f', topics {topic_filter}'}"
                 )
-                has_listened = True
+                if not has_listened:
+                    has_listened = True
+                    left_s = end.seconds_left()
+                    first = next_message(inbox, QUIET_S if left_s is None else min(QUIET_S, left_s))
+                    if first is None:
+                        tell("no station is heard; check the names, and that its gateway has run")
+                    else:
+                        yield first
                 while (message := next_message(inbox, end.seconds_left())) is not None:
                     yield message
             return

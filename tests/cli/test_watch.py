@@ -255,6 +255,7 @@ def test_too_few_verdicts_in_time_fail(broker: LocalBroker, capsys: pytest.Captu
     assert ended.value.exit_code == 1
     said = capsys.readouterr().err
     assert f", topics {station_filter('gelgate')}" in said
+    assert "no station is heard; check the names" in said
     assert "0 verdict(s) arrived in 0.2 s, expected 3" in said
 
 
