@@ -436,6 +436,18 @@ def test_presses_of_recordings_that_are_named_alike_have_names_of_their_own(
     assert _left_out_before([other], [both.names[1]], None) == []
 
 
+def test_pictures_in_folders_below_are_said(good: Path, tmp_path: Path) -> None:
+    """Those of another folder that is given, and of the free gel, are read."""
+    write(good / "monday", "1.png", gel(9, (110, 60)))
+    write(good / "free", "1.png", gel(0))
+    free = [good / "free"]
+    (said,) = read_presses([good], PROFILE, REGION, no_contact=free).faults
+    assert said.startswith(
+        f"pictures in folders below {good} are not read, such as {good}/monday/1.png: name"
+    )
+    assert read_presses([good, good / "monday"], PROFILE, REGION, no_contact=free).faults == ()
+
+
 def test_further_pages_of_a_picture_are_said(tmp_path: Path) -> None:
     """A TIFF of three presses is one press, and a scan of one page is nothing to speak of."""
     pages = [

@@ -17,7 +17,7 @@ from calibration.dataset.press import numbered
 from calibration.fitting.presses.free_gel import measure_strengths, view_of
 from calibration.fitting.presses.gel_choice import MIN_PRESSES, choose_free_gel, contact_finder
 from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
-from calibration.fitting.presses.sources import list_pictures, name_apart
+from calibration.fitting.presses.sources import list_pictures, name_apart, name_unread
 from calibration.fitting.presses.strangers import find_odd, find_pieces, merge_copies, small_view
 from edge.core.arrays import U8, Mask
 from edge.core.contact.mask import Touch, touched
@@ -226,7 +226,9 @@ def read_presses(
     recordings = [source for source in sources if is_recording(source)]
     for source, name in zip(recordings, name_apart(recordings, 1), strict=True):
         _read_recording(source, name, gathered)
-    files = list_pictures([source for source in sources if not is_recording(source)], pattern)
+    others = [source for source in sources if not is_recording(source)]
+    files = list_pictures(others, pattern)
+    unread = name_unread(others, [*files, *free_files]) if pattern is None else []
     given_twice = [path for path in files if any(path.samefile(one) for one in free_files)]
     if files and given_twice == files:
         raise FitError(
@@ -244,7 +246,7 @@ def read_presses(
     pieces = [specimens.get(path) or specimen_of(path) for path, _ in pictures]
     same, pieces, film = find_pieces(names, [small_view(picture) for _, picture in pictures], pieces)
     gathered.film = () if gathered.presses else tuple(kept.index(k) for k in film if k in kept)
-    gathered.faults += [*same, *_name_pages([*files, *free_files])]
+    gathered.faults += [*same, *_name_pages([*files, *free_files]), *unread]
     contact = _contacts(gathered.free)
     for name, piece, (_, picture) in zip(names, pieces, pictures, strict=True):
         gathered.add(picture, name, piece, contact(picture))

@@ -29,6 +29,7 @@ __all__ = [
     "is_dataset",
     "list_pictures",
     "name_apart",
+    "name_unread",
 ]
 
 DEFAULT_POSITION = "default"
@@ -179,6 +180,19 @@ def list_pictures(sources: Sequence[Path], pattern: str | None = None) -> list[P
         if not f"{file.parent.name}/{file.name}".isprintable():  # a manifest and sentences name it so
             raise FitError(f"the name {str(file)!a} cannot be printed; rename the file, and its folder")
     return files
+
+
+def name_unread(sources: Sequence[Path], read: Sequence[Path]) -> list[str]:
+    """Name each folder with pictures in folders below it that are not read, with one of them."""
+    known, said = set(read), []
+    for folder in filter(Path.is_dir, sources):
+        below = (path for path in folder.rglob("*/*") if path.suffix.lower() in SUFFIXES)
+        if unread := min((path for path in below if path not in known), default=None):
+            said.append(
+                f"pictures in folders below {folder} are not read, such as {unread}: name their folder too, or choose "
+                "with --pattern"
+            )
+    return said
 
 
 def name_apart(paths: Sequence[Path], parts: int) -> list[str]:
