@@ -45,7 +45,8 @@ class Switching:
 
 
 class Relay:
-    """A board with relays. mood: `up`, `unplugged`, `slow` or `stuck`."""
+    """A board with relays. mood: `up`, `unplugged`, `slow` or `stuck`. is_open: not unplugged since it was opened; what
+    was is another device to the system, however soon it is back."""
 
     now: ClassVar["Relay"]
     """That of the run that is on."""
@@ -54,20 +55,21 @@ class Relay:
 
     def __init__(self, clock: "SimulatedClock", is_dead: Callable[[], bool], rng: random.Random) -> None:
         self._clock, self._is_dead, self._rng = clock, is_dead, rng
-        self.mood = "up"
+        self.mood, self.is_open = "up", False
         self.well_since_ns = 0
         self.is_on = dict.fromkeys((LAMP, REJECT, GATE, LIFT, FREE, OVERLOAD), False)
         self.switched: list[Switching] = []
 
     def mend(self) -> None:
         """It is plugged in, and switches at once. Some boards begin as they were, others anyhow."""
+        self.is_open &= self.mood != "unplugged"
         if self.mood == "unplugged" and self._rng.random() < 0.8:
             self.is_on = {channel: self._rng.random() < 0.5 for channel in self.is_on}
         self.mood, self.well_since_ns = "up", self._clock.now_ns
 
     def write(self, channel: int, is_on: bool) -> None:
         told_ns = self._clock.now_ns
-        if self.mood == "unplugged" or self._is_dead():
+        if not self.is_present() or self._is_dead():
             raise DeviceLost("the relay was unplugged")
         if self.mood == "stuck":
             raise DeviceStalled("the relay does not switch")
@@ -78,7 +80,7 @@ class Relay:
         self.is_on[channel] = is_on
 
     def is_present(self) -> bool:
-        return self.mood != "unplugged"
+        return self.is_open and self.mood != "unplugged"
 
     def close(self) -> None:
         """The relays stay as they are."""
@@ -125,11 +127,12 @@ class RelayPlugin:
     Options = Options
 
     def discover(self, options: Options) -> Sequence[DiscoveredPort]:
-        return [DiscoveredPort("simulated", Relay.name)] if Relay.now.is_present() else []
+        return [DiscoveredPort("simulated", Relay.name)] if Relay.now.mood != "unplugged" else []
 
     def open(self, options: Options, clock: Clock) -> Relay:
-        if not Relay.now.is_present():
+        if Relay.now.mood == "unplugged":
             raise DeviceNotFound("no relay is plugged in")
+        Relay.now.is_open = True
         return Relay.now
 
 
