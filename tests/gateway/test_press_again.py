@@ -230,9 +230,38 @@ def test_where_it_does_not_pay_a_press_fails_at_once(asking: Make) -> None:
     assert station.verdicts == ["fail", "pass", "pass"]
 
 
-def test_a_press_that_waits_is_dropped_with_a_gel_change(asking: Make) -> None:
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda station: station.ask("replace_gel"), "the gel was replaced"),
+        (
+            lambda station: station.loop.session.use(station.loop.session.inspector),
+            "PZ0/pos1 is inspected now",
+        ),
+    ],
+    ids=["another gel", "another bundle"],
+)
+def test_a_press_that_waits_is_dropped_with_a_change(
+    asking: Make, change: Callable[[SteppedStation], object], why: str
+) -> None:
     """The next press may be of another piece."""
     with asking(0) as station:
         station.play_until(lambda: len(station.reports) == 1)
-        station.ask("replace_gel")
-        assert "is not waited for any more: the gel was replaced" in str(station.alarm("press_again"))
+        change(station)
+        assert f"is not waited for any more: {why}" in str(station.alarm("press_again"))
+
+
+def test_a_second_press_with_the_higher_score_is_decided_by_the_first(again_bundle: Path) -> None:
+    """Both lie above, so the piece fails, with the score of its second press."""
+    bundle = Bundle.load(again_bundle)
+    costs = Costs(missed=1, false_alarm=1000, press=1, defect_rate=0.01)
+    again, inspector = PressAgain(costs, 30.0, ManualClock(), Mock()), SimpleNamespace(bundle=bundle)
+    again.use(inspector)  # type: ignore[arg-type]
+    first, second = (
+        again.judge(Press(bundle.manifest.decide(score)), None, inspector)  # type: ignore[arg-type]
+        for score in (0.2, 0.3)
+    )
+
+    assert (first.word, second.word) == ("unsure", "fail")
+    assert second.verdict is not None
+    assert (second.verdict.score, second.again and second.again.first_score) == (0.3, 0.2)

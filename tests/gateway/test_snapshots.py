@@ -8,6 +8,7 @@ from unittest.mock import Mock
 import pytest
 from station import Configure
 from stepped_station import SteppedStation
+from waiting import wait_until
 
 from edge.clock import ManualClock
 from edge.core.errors import StoreError
@@ -64,6 +65,17 @@ def test_the_frames_around_the_request_are_written(tmp_path: Path) -> None:
     assert recording.header.identity == SENSOR
     assert (act.who, act.verb, act.outcome) == ("the gateway", "snapshot", "done")
     assert act.after == {"recording": str(folder), "frames": 9, "bytes": 9 * 14}
+
+
+def test_the_thread_of_a_station_that_runs_writes_it(tmp_path: Path) -> None:
+    found = bench(tmp_path)
+    found.start()
+    folder = found.request(0.5, 0.3)
+    for number in (100, 101, 102):
+        found.take(frame(number))
+    found.turn(None)
+    wait_until(folder.exists)
+    found.close()
 
 
 def test_a_stream_that_stops_does_not_hold_back_what_is_there(tmp_path: Path) -> None:

@@ -36,10 +36,12 @@ def test_a_free_gel_of_another_light_is_named() -> None:
 
 
 def test_a_free_gel_of_the_same_light_is_not() -> None:
-    """Whatever the part; two presses are too few to say."""
+    """Whatever the part; two presses are too few to say, and areas that differ are those of the presses."""
     for part in PARTS:
         assert foreign_free_gel(*contacts(part, series(part, "clear")[0])) is None
     assert foreign_free_gel([Touch(0.3)] * 2, [0.01] * 2) is None
+    assert foreign_free_gel([Touch(0.3)] * 3, [0.01] * 3) is not None
+    assert foreign_free_gel([Touch(0.2), Touch(0.3), Touch(0.4)], [0.01] * 3) is None
 
 
 def test_a_start_in_another_light_is_named() -> None:

@@ -131,6 +131,14 @@ def test_differences_are_signed() -> None:
         assert touched(touched_mask(difference)).area == pytest.approx(1600 / 19200)
 
 
+def test_a_pixel_has_changed_beyond_twelve_levels_of_a_colour() -> None:
+    """Noise moves none this far; half of these pixels have changed by 13, the others by 12."""
+    view = np.full((120, 160, 3), 100, np.float32)
+    changed = view + np.float32(12)
+    changed[:60, :, 1] += 1
+    assert measure_change(changed, view) == 0.5
+
+
 def test_uint8_never_gets_in() -> None:
     """A uint8 reference is refused, because its differences would wrap."""
     with pytest.raises(ValueError, match="float32"):

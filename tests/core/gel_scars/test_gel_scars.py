@@ -221,6 +221,13 @@ def test_a_place_that_exceeds_in_five_presses_in_a_row_is_repeated() -> None:
     assert (places[4].x_mm, places[4].y_mm) == pytest.approx((176 * 0.0634, 37 * 0.0634), abs=0.13)
 
 
+def test_the_place_that_is_repeated_is_named_and_not_a_larger_one_of_this_press() -> None:
+    gel, large = GelScars(first=FREE), (slice(84, 104), slice(40, 60))
+    found = [gel.judge(beside(speck(20), *[large] * (n == 4)), None).repeated for n in range(5)]
+    assert found[4] is not None
+    assert found[4].y_mm == pytest.approx(37 * 0.0634, abs=0.13)
+
+
 def test_presses_between_which_others_pass_are_no_repeats_at_the_edge_of_the_region_either() -> None:
     """What lies beyond the region is never shown: counts there would stay for ever."""
     picture = FREE.copy()
