@@ -50,6 +50,9 @@ _BESIDE_PX, _ALIKE_DOUBT = 3.0, 0.15
 _CLEARLY = 0.05
 # Less of a part says nothing of it.
 _LEAST_INSIDE = 0.25
+# What the agreement at the telling places counts beside that of all. Of a connector with three pins right turns gained
+# 8 times there of what they lost in all, and more; of a long edge wrong ones gained 2.6 times of it at most.
+_TELLING = 0.2
 _TINY = float(np.finfo(np.float32).tiny)
 
 
@@ -91,7 +94,7 @@ class PoseSearch:
             return best
         others = [self._fine.align(slopes, best.pose.after(step), _FINE_ROUNDS) for step in self._steps]
         alike = [best, *(one for one in others if one.match > best.match - _CLEARLY)]
-        return max(alike, key=lambda one: self._tell(slopes, one.pose))
+        return max(alike, key=lambda one: one.match + _TELLING * self._tell(slopes, one.pose))
 
     def _tell(self, slopes: F32, pose: Pose) -> float:
         """Correlate a press in a pose with the part at the places that tell its turns apart."""
