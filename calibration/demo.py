@@ -108,7 +108,7 @@ class _Tally:
     damage: list[str]
     """Of each press in order, empty for a sound one."""
     verdicts: list[str] = field(default_factory=list)
-    gel: str = ""
+    gel: str = "empty"
     received: int = 0
     summary: "Summary | None" = None
     status: "AcquisitionStatus | None" = None
@@ -194,10 +194,9 @@ def _inspect(folder: Path, bundle: Path, recording: Path, heatmaps: Path, broker
             _await(lambda: len(complete) >= len(tally.verdicts))
         tally.received = len(received)
     with Store(folder / "gelgate.db") as store:
-        gel = store.gels()[-1]
-        tally.gel = (
-            f"{gel.gel_id} on sensor {gel.serial}: {gel.presses} of {gel.limit_presses} presses, {gel.state}"
-        )
+        for gel in store.gels()[-1:]:  # none where the disk was full
+            count = f"{gel.presses} of {gel.limit_presses} presses, {gel.state}"
+            tally.gel = f"{gel.gel_id} on sensor {gel.serial}: {count}"
     return tally
 
 

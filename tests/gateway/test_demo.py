@@ -12,15 +12,22 @@ from edge.core.ports import Message
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker
 from edge.messaging.mqtt_connection import Connection
+from edge.store.press_store import Store
 
 
 @pytest.mark.parametrize("hold", [10, 0])
 def test_the_demo_inspects_over_a_broker(
-    tmp_path: Path, recording: Path, bundle: Path, hold: int, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    recording: Path,
+    bundle: Path,
+    hold: int,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Every press is printed, arrives at the subscriber with its heatmap, and is in the ledger. Presses that are too
-    short to be seen are a fault: nothing inspected is not "done"."""
+    short to be seen are a fault: nothing inspected is not "done". So is a ledger that has no gel, as on a full disk."""
     if not hold:
+        monkeypatch.setattr(Store, "gels", lambda _: [])
         recording = press_recording(tmp_path / "short", 2, motion=Motion(hold=0), seed=4)
     heatmaps = tmp_path / "heatmaps"
     heatmaps.mkdir()
