@@ -34,6 +34,7 @@ __all__ = [
     "Lesson",
     "Remedy",
     "change_method",
+    "find_other_score",
     "hold_out",
     "lower_limit",
     "lower_place",
@@ -49,6 +50,8 @@ _ABOVE: Final = 1.1
 # What is watched around a place, and where that fades out. Of 12 damages of two simulated parts no more sound presses
 # fail with 0.4 mm, and with 1 mm half as many again.
 _PLACE_MM, _FADE_MM = 0.6, 0.4
+# Where the largest value of a map is not the press's score to this share, the score is something else.
+_SAME: Final = 1e-4
 # Below this share of the limit a map shows noise, which no weight makes a damage.
 _LEAST_SHOWN: Final = 0.1
 # Fits that each leave out a part of the presses.
@@ -199,6 +202,8 @@ def lower_place(lesson: Lesson) -> Remedy | str:
     A place that is chosen by sound presses shows less of these than of others. So what it costs is counted on each
     piece with the places that the others choose.
     """
+    if why := find_other_score(lesson.old):
+        return f"place: {why}, so no place of the map decides"
     old, held_out = lesson.old, lesson.held_out
     if held_out is None or len(set(pieces_of(held_out[0].specimens))) == 1:
         return f"place: of one piece, or fewer than {FEWEST_HELD_OUT} presses, none can be held out"
@@ -226,6 +231,15 @@ def lower_place(lesson: Lesson) -> Remedy | str:
         return f"place: {error}"
     seen = Scorer(fitted.bundle(), lesson.config.threads)
     return Remedy("place", what, fitted, _see(seen, lesson.damaged, old)[0] * value)
+
+
+def find_other_score(old: Bundle) -> str:
+    """Say of a bundle whose score is not the highest value of its map what it is; empty where it is that."""
+    for golden in old.golden:
+        highest = max(map(max, golden.map_peaks))
+        if abs(highest - golden.score) > _SAME * abs(golden.score):
+            return f"its score ({golden.score:.4g}) is not the highest value of its map ({highest:.4g})"
+    return ""
 
 
 def change_method(lesson: Lesson, name: str, fit: Callable[[], Fitted]) -> Remedy | str:

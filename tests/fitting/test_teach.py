@@ -15,8 +15,9 @@ from graph_session import open_graph
 from station import gel, jpeg
 from tiny_fit import config
 
+from calibration.fitting.bundle_measurements import score_again
 from calibration.fitting.fit import Fitted, fit_files
-from calibration.fitting.limits.appended import TAUGHT_WEIGHTS, append
+from calibration.fitting.limits.appended import TAUGHT_WEIGHTS, append, extend_head
 from calibration.fitting.limits.threshold import conformal_threshold, promise_at
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
 from calibration.fitting.teach import (
@@ -163,6 +164,25 @@ def test_a_place_finds_what_stands_out_there_alone(lesson: Lesson) -> None:
     pictures = place.fitted.bundle().nominal_pictures
     assert pictures is not None
     assert pictures == lesson.old.nominal_pictures  # what people are shown stays
+
+
+def test_where_the_score_is_not_the_highest_of_its_map_no_place_is_taught(lesson: Lesson) -> None:
+    """The weights of a place make it that, so what was found by the other score would pass."""
+    old = lesson.old
+    three = "score = Mul (other_score, three)"
+    head = extend_head(old.graphs.head or b"", {"score": "other_score"}, {}, three, "float three = {3}")
+    limit = old.manifest.threshold
+    scores = tuple(3 * score for score in limit.nominal_scores)
+    limit = limit.model_copy(update={"value": 3 * limit.value, "nominal_scores": scores})
+    changed = {"graphs": dataclasses.replace(old.graphs, head=head), "golden": ()}
+    other = dataclasses.replace(old, manifest=old.manifest.model_copy(update={"threshold": limit}), **changed)
+    scorer = Scorer(other, 1)
+    other = dataclasses.replace(other, golden=tuple(score_again(one, scorer) for one in old.golden))
+
+    said = lower_place(dataclasses.replace(lesson, old=other))
+
+    assert isinstance(said, str)
+    assert "is not the highest value of its map" in said
 
 
 def test_another_method_keeps_the_drawn_regions(lesson: Lesson, other_package: None) -> None:

@@ -28,7 +28,7 @@ from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.appended import TAUGHT_WEIGHTS, append
 from calibration.fitting.limits.threshold import promise_at
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.fitting.teach import FEWEST_HELD_OUT, hold_out
+from calibration.fitting.teach import FEWEST_HELD_OUT, find_other_score, hold_out
 from edge.core.arrays import F32
 from edge.core.contact.relief import find_contact
 from edge.core.detector import Bank
@@ -54,8 +54,6 @@ __all__ = [
 
 # What a manifest says of scores, which are others now.
 _OF_OLD_SCORES: Final = ("press_again", DAMAGE_FOUND, CARD)
-# Where the largest value of a map is not the press's score to this share, the score is something else.
-_SAME: Final = 1e-4
 # Where `ignore` leaves this share of the contact or less, a lighter press has too little left to be judged.
 _LEAST_SHARE: Final = 0.1
 
@@ -207,14 +205,11 @@ def _check_head(old: Bundle) -> None:
         raise FitError(
             f"bundle {old.where} cannot have regions: it has no golden frames to prove them; fit it again"
         )
-    for golden in old.golden:
-        highest = max(map(max, golden.map_peaks))
-        if abs(highest - golden.score) > _SAME * abs(golden.score):
-            raise FitError(
-                f"bundle {old.where} cannot have regions: its score ({golden.score:.4g}) is not the highest value of "
-                f"its map ({highest:.4g}), so no place can be left out of it; fit it with another method, or with "
-                "mode=corrected"
-            )
+    if why := find_other_score(old):
+        raise FitError(
+            f"bundle {old.where} cannot have regions: {why}, so no place can be left out of it; fit it with another "
+            "method, or with mode=corrected"
+        )
 
 
 def _measure_contact(old: Bundle, weights: F32, regions: Sequence[DrawnRegion]) -> dict[str, Any]:
