@@ -25,7 +25,15 @@ from edge.core.suggest import suggestion
 from edge.core.verdict import Cause
 from edge.extras import needs
 from edge.messaging.deviation_payload import DeviationPlace
-from edge.store.history import MEASURED, HistoryQuery, HistoryRow, count_verdicts, read_history, write_history
+from edge.store.history import (
+    MEASURED,
+    HistoryQuery,
+    HistoryRow,
+    count_verdicts,
+    list_parts,
+    read_history,
+    write_history,
+)
 from edge.store.press_store import VERDICTS
 
 __all__ = ["history", "moment_ns"]
@@ -96,7 +104,7 @@ def history(
         for row in rows:
             typer.echo(json.dumps(asdict(row)))
     else:
-        _print(rows, count_verdicts(path, query) if count is None else None)
+        _print(rows, count_verdicts(path, query) if count is None else None, path)
 
 
 def _check_groups(by: str | None, *, is_for_people: bool) -> None:
@@ -184,7 +192,7 @@ def _print_shadows(rows: Iterable[HistoryRow]) -> None:
         typer.echo("no press that fits was judged by a shadow")
 
 
-def _print(rows: Iterable[HistoryRow], totals: Mapping[str, int] | None) -> None:
+def _print(rows: Iterable[HistoryRow], totals: Mapping[str, int] | None, database: Path) -> None:
     """Print a line for each press, and one of totals. totals: of all that fit; None counts the printed ones."""
     printed: Counter[str] = Counter()
     for row in rows:
@@ -193,7 +201,11 @@ def _print(rows: Iterable[HistoryRow], totals: Mapping[str, int] | None) -> None
     counted = Counter(printed if totals is None else totals)
     words = ", ".join(f"{n} {verdict}" for verdict, n in sorted(counted.items()))
     more = f"; the newest {printed.total()} are listed" if counted.total() > printed.total() else ""
-    typer.echo(f"{write_count(counted.total(), 'press')}: {words}{more}" if counted else "no press fits")
+    if counted:
+        typer.echo(f"{write_count(counted.total(), 'press')}: {words}{more}")
+    else:
+        known = ", ".join(list_parts(database)) or "nothing yet"
+        typer.echo(printable(f"no press fits; there are presses of {known}"))
 
 
 def _line(row: HistoryRow) -> str:

@@ -26,6 +26,7 @@ __all__ = [
     "KnownPress",
     "count_verdicts",
     "find_press",
+    "list_parts",
     "presses_since",
     "read_history",
     "write_history",
@@ -139,6 +140,13 @@ def count_verdicts(path: Path, query: HistoryQuery) -> Mapping[str, int]:
     with open_read_only(path, "reading the history") as connection:
         counted = f"SELECT verdict, COUNT(*) FROM presses WHERE {condition} GROUP BY verdict ORDER BY verdict"
         return dict(connection.execute(counted, values).fetchall())
+
+
+def list_parts(path: Path) -> list[str]:
+    """List the parts and positions that were pressed. Errors: StoreError."""
+    with open_read_only(path, "reading the history") as connection:
+        rows = connection.execute("SELECT DISTINCT part, position FROM presses ORDER BY part, position")
+        return [f"{part}/{position or '-'}" for part, position in rows]
 
 
 # Rows of one row group of a Parquet file; all of them are in memory at once.

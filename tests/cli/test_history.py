@@ -90,6 +90,12 @@ def test_a_mistyped_verdict_is_refused(database: Path) -> None:
     assert done.sentence() == "no press has the verdict 'failed'; did you mean 'fail'?"
 
 
+def test_of_a_mistyped_part_the_known_ones_are_named(database: Path) -> None:
+    """As of a verdict: no fail of it would look good."""
+    said = gelgate("history", "--database", database, "--part", "Bolt", "--verdict", "fail").out
+    assert said == "no press fits; there are presses of bolt/-\n"
+
+
 @pytest.mark.usefixtures("tokyo")
 def test_acts_are_read_from_the_same_file(database: Path) -> None:
     """A station's database is not next to its configuration where a service runs it. An act that makes something has
