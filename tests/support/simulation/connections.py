@@ -140,6 +140,20 @@ class Connections:
             here.parent.switch((due_ns - self.clock.now_ns) / S)
 
 
+class TurnLock:
+    """A lock of a sink: who waits for it lets the turn go on that holds it."""
+
+    def __init__(self, connections: Connections) -> None:
+        self._connections, self._is_held = connections, False
+
+    def __enter__(self) -> None:
+        self._connections.wait(lambda: not self._is_held, ANSWERED_S, 0.01)
+        self._is_held = True
+
+    def __exit__(self, *_: object) -> None:
+        self._is_held = False
+
+
 class Client(paho.Client):
     """The library's client, without its thread."""
 
@@ -216,6 +230,7 @@ class SimulatedMqtt:
         assert do is not None
         heard = replace(station, on_command=lambda verb, payload: now.answer(do, verb, payload))
         sink = now.sinks[options.host] = Mqtt().make(options, heard, now.clock)
+        sink._publishing = TurnLock(now)  # type: ignore[assignment]
         now.brokers[options.host].root = station.root
         return sink
 
