@@ -21,7 +21,7 @@ from simulation.bundles import both_bundles
 from simulation.conditions import SOMETIMES
 from simulation.options import MEMORY
 from simulation.schedule import Run, Simulation
-from simulation.shrinking import Failure, shrink
+from simulation.shrinking import Failure, kind_of, shrink
 from simulation.surroundings import install_plugins
 
 TABLE = {
@@ -128,7 +128,8 @@ def main() -> int:
         print("\n".join(total.lines(time.perf_counter() - begun)), flush=True)
         if total.failed and not given.no_shrink:
             with contextmanager(install_plugins)(folder / "packages"):
-                _shrink(total.failed[0], bundles, folder)
+                for run in {kind_of(run.faults[0]): run for run in reversed(total.failed)}.values():
+                    _shrink(run, bundles, folder)
     return 1 if total.failed else 0
 
 
