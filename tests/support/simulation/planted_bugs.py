@@ -193,7 +193,7 @@ BUGS = (
         "edge/features/contact_state.py",
         "        if self._clock.monotonic_ns() - self._seen_ns > GAP_S * 1e9:\n",
         "        if False:\n",
-        "nothing is seen .*(lift|free) is shown",
+        "nothing is seen .*(lift|free) is shown|lift was shown",
     ),
     Bug(
         "the next press may be lifted with the word of the last",
