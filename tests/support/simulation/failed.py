@@ -8,7 +8,7 @@ FAILED = (
     Failure(
         seed=13,
         presses=4,
-        chosen=Chosen(brokers=1, has_archive=True, rates={}, sloth_s=0.01, fps=9.0),
+        chosen=Chosen(sloth_s=0.01, fps=9.0),
         schedule=(
             Fault(at_s=4.0, name="unplug", seed=49),
             Fault(at_s=5.168347, name="hang up", seed=70),
@@ -19,7 +19,7 @@ FAILED = (
     Failure(
         seed=211,
         presses=37,
-        chosen=Chosen(brokers=1, has_archive=True, rates={}, sloth_s=0.01, fps=7.0),
+        chosen=Chosen(sloth_s=0.01, fps=7.0),
         schedule=(
             Fault(at_s=20.341307, name="shake", seed=1797386489),
             Fault(at_s=26.464291, name="shake", seed=1061029362),
@@ -33,7 +33,7 @@ FAILED = (
     Failure(
         seed=2013,
         presses=8,
-        chosen=Chosen(brokers=1, has_archive=False, rates={}, sloth_s=0.0, fps=18.75),
+        chosen=Chosen(has_archive=False),
         schedule=(
             Fault(at_s=4.21717, name="kill", seed=145657507),
             Fault(at_s=6.946007, name="damage", seed=112791548),
@@ -45,7 +45,7 @@ FAILED = (
     Failure(
         seed=2021,
         presses=12,
-        chosen=Chosen(brokers=1, has_archive=False, rates={}, sloth_s=0.0, fps=7.0),
+        chosen=Chosen(has_archive=False, fps=7.0),
         schedule=(
             Fault(at_s=4.0, name="damage", seed=383951828),
             Fault(at_s=4.535, name="blind", seed=3231683878),
@@ -57,7 +57,7 @@ FAILED = (
     Failure(
         seed=118,
         presses=7,
-        chosen=Chosen(brokers=2, has_archive=False, rates={}, sloth_s=0.0, fps=7.0),
+        chosen=Chosen(brokers=2, has_archive=False, fps=7.0),
         schedule=(
             Fault(at_s=4.0, name="damage", seed=1394579487),
             Fault(at_s=6.486873, name="blind", seed=3881109521),
@@ -68,7 +68,7 @@ FAILED = (
     Failure(
         seed=1012,
         presses=30,
-        chosen=Chosen(brokers=1, has_archive=True, rates={}, sloth_s=0.0, fps=7.0),
+        chosen=Chosen(fps=7.0),
         schedule=(Fault(at_s=53.257223, name="hang up", seed=2778470628),),
         says="broker#: what is retained on last/press went back",
     ),
@@ -76,7 +76,7 @@ FAILED = (
     Failure(
         seed=3034,
         presses=9,
-        chosen=Chosen(brokers=1, has_archive=True, rates={}, sloth_s=0.03, fps=9.0, level="silent at 5"),
+        chosen=Chosen(sloth_s=0.03, fps=9.0, level="silent at 5"),
         schedule=(
             Fault(at_s=2.080528, name="blind", seed=846731097),
             Fault(at_s=24.904581, name="hang up", seed=3453161778),
@@ -88,15 +88,7 @@ FAILED = (
     Failure(
         seed=57,
         presses=3,
-        chosen=Chosen(
-            brokers=2,
-            has_archive=True,
-            rates={},
-            sloth_s=0.0,
-            fps=18.75,
-            level="silent at 5",
-            piece="free",
-        ),
+        chosen=Chosen(brokers=2, level="silent at 5", piece="free"),
         schedule=(
             Fault(at_s=2.445576, name="hang up", seed=4207984392),
             Fault(at_s=8.707099, name="lose database", seed=3895884278),
@@ -107,7 +99,7 @@ FAILED = (
     Failure(
         seed=1003,
         presses=9,
-        chosen=Chosen(brokers=1, has_archive=False, rates={}, sloth_s=0.0, fps=7.0),
+        chosen=Chosen(has_archive=False, fps=7.0),
         schedule=(
             Fault(at_s=4.0, name="stop", seed=2699269205),
             Fault(at_s=17.693607, name="hang up", seed=2330248867),
@@ -118,17 +110,7 @@ FAILED = (
     Failure(
         seed=6,
         presses=19,
-        chosen=Chosen(
-            brokers=1,
-            has_archive=False,
-            rates={},
-            sloth_s=0.03,
-            fps=18.75,
-            level="5",
-            trigger="command",
-            has_robot=True,
-            plc="modbus",
-        ),
+        chosen=Chosen(has_archive=False, sloth_s=0.03, trigger="command", has_robot=True, plc="modbus"),
         schedule=(
             Fault(at_s=2.253394, name="fill disk", seed=4084754644),
             Fault(at_s=2.919828, name="stop", seed=3976950068),
@@ -148,7 +130,7 @@ FAILED = (
     Failure(
         seed=263320558,
         presses=41,
-        chosen=Chosen(brokers=1, has_archive=True, rates={}, sloth_s=0.03, fps=18.75),
+        chosen=Chosen(sloth_s=0.03),
         schedule=(Fault(at_s=66.63, name="silence", seed=1),),
         says="press #, sound, has the verdict unsure, without any fault",
     ),
@@ -157,18 +139,10 @@ FAILED = (
         seed=263331928,
         presses=20,
         chosen=Chosen(
-            brokers=1,
-            has_archive=True,
-            rates={},
             sloth_s=0.01,
-            fps=18.75,
             level="silent at 5",
-            trigger="automatic",
-            outbox_mb=512,
-            has_file=False,
             has_shadow=True,
             has_robot=True,
-            plc="",
             piece="free",
             meetings=(
                 ("hang up", "stop"),
@@ -196,19 +170,10 @@ FAILED = (
         chosen=Chosen(
             brokers=2,
             has_archive=False,
-            rates={},
-            sloth_s=0.0,
             fps=7.0,
-            level="5",
-            trigger="automatic",
-            outbox_mb=512,
-            has_file=False,
             has_shadow=True,
-            has_robot=False,
-            plc="",
             piece="free",
             meetings=(("kill",), ("hang up", "stop"), ("request", "relay"), ("plc", "unplug")),
-            forgets=False,
         ),
         schedule=(
             Fault(at_s=7.198866, name="replace gel", seed=2499903246),
@@ -225,18 +190,7 @@ FAILED = (
         seed=263332335,
         presses=15,
         chosen=Chosen(
-            brokers=1,
-            has_archive=True,
-            rates={},
             sloth_s=0.03,
-            fps=18.75,
-            level="5",
-            trigger="automatic",
-            outbox_mb=512,
-            has_file=False,
-            has_shadow=False,
-            has_robot=False,
-            plc="",
             piece="free",
             meetings=(
                 ("plc", "unplug"),
@@ -244,7 +198,6 @@ FAILED = (
                 ("hang up", "stop"),
                 ("select part", "stop"),
             ),
-            forgets=False,
         ),
         schedule=(
             Fault(at_s=38.862242, name="stop", seed=2471391777),
@@ -259,16 +212,10 @@ FAILED = (
         presses=15,
         chosen=Chosen(
             brokers=2,
-            has_archive=True,
-            rates={},
             sloth_s=0.01,
             fps=9.0,
-            level="5",
-            trigger="automatic",
             outbox_mb=0.03,
             has_file=True,
-            has_shadow=False,
-            has_robot=False,
             plc="opcua",
             piece="fixed",
             meetings=(
@@ -303,15 +250,8 @@ FAILED = (
         chosen=Chosen(
             brokers=2,
             has_archive=False,
-            rates={},
             sloth_s=0.03,
-            fps=18.75,
-            level="5",
-            trigger="automatic",
-            outbox_mb=512,
-            has_file=False,
             has_shadow=True,
-            has_robot=False,
             plc="modbus",
             piece="fixed",
             meetings=(
@@ -343,18 +283,10 @@ FAILED = (
         presses=6,
         chosen=Chosen(
             brokers=2,
-            has_archive=True,
-            rates={},
             sloth_s=0.03,
             fps=7.0,
             level="3.1.1",
-            trigger="automatic",
-            outbox_mb=512,
-            has_file=False,
-            has_shadow=False,
-            has_robot=False,
             plc="modbus",
-            piece="",
             meetings=(
                 ("hang up", "stop"),
                 ("plc", "second plc"),
@@ -375,23 +307,7 @@ FAILED = (
     Failure(
         seed=233,
         presses=13,
-        chosen=Chosen(
-            brokers=2,
-            has_archive=True,
-            rates={},
-            sloth_s=0.03,
-            fps=18.75,
-            level="silent at 5",
-            trigger="automatic",
-            outbox_mb=512,
-            has_file=False,
-            has_shadow=False,
-            has_robot=True,
-            plc="",
-            piece="free",
-            meetings=(),
-            forgets=False,
-        ),
+        chosen=Chosen(brokers=2, sloth_s=0.03, level="silent at 5", has_robot=True, piece="free"),
         schedule=(
             Fault(at_s=11.322969, name="hang", seed=3985718986),
             Fault(at_s=13.034032, name="hang", seed=3130977302),
@@ -404,23 +320,7 @@ FAILED = (
     Failure(
         seed=14,
         presses=2,
-        chosen=Chosen(
-            brokers=1,
-            has_archive=True,
-            rates={},
-            sloth_s=0.03,
-            fps=9.0,
-            level="5",
-            trigger="automatic",
-            outbox_mb=512,
-            has_file=True,
-            has_shadow=True,
-            has_robot=False,
-            plc="opcua",
-            piece="",
-            meetings=(),
-            forgets=False,
-        ),
+        chosen=Chosen(sloth_s=0.03, fps=9.0, has_file=True, has_shadow=True, plc="opcua"),
         schedule=(
             Fault(at_s=4.0, name="hang", seed=1594852426),
             Fault(at_s=12.061699, name="hang", seed=2201477749),

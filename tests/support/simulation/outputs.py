@@ -5,11 +5,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from pydantic import BaseModel
-
 from edge.core.digital_io import DiscoveredPort
 from edge.core.errors import DeviceLost, DeviceNotFound, DeviceStalled
 from edge.core.ports import Clock
+from simulation.options import NoOptions
 
 if TYPE_CHECKING:
     from simulation.surroundings import SimulatedClock
@@ -117,19 +116,15 @@ class Pedal:
         """Nothing is held."""
 
 
-class Options(BaseModel):
-    """No options."""
-
-
 class RelayPlugin:
     """The board of the run."""
 
-    Options = Options
+    Options = NoOptions
 
-    def discover(self, options: Options) -> Sequence[DiscoveredPort]:
+    def discover(self, options: NoOptions) -> Sequence[DiscoveredPort]:
         return [DiscoveredPort("simulated", Relay.name)] if Relay.now.mood != "unplugged" else []
 
-    def open(self, options: Options, clock: Clock) -> Relay:
+    def open(self, options: NoOptions, clock: Clock) -> Relay:
         if Relay.now.mood == "unplugged":
             raise DeviceNotFound("no relay is plugged in")
         Relay.now.is_open = True
@@ -139,12 +134,12 @@ class RelayPlugin:
 class PedalPlugin:
     """The pedal of the run."""
 
-    Options = Options
+    Options = NoOptions
 
-    def discover(self, options: Options) -> Sequence[DiscoveredPort]:
+    def discover(self, options: NoOptions) -> Sequence[DiscoveredPort]:
         return [DiscoveredPort("simulated", Pedal.name)] if Pedal.now.is_present() else []
 
-    def open(self, options: Options, clock: Clock) -> Pedal:
+    def open(self, options: NoOptions, clock: Clock) -> Pedal:
         if not Pedal.now.is_present():
             raise DeviceNotFound("no pedal is plugged in")
         return Pedal.now

@@ -38,8 +38,10 @@ class Failure:
     def text(self) -> str:
         """Write it as Python, to be pasted into `failed.py`."""
         faults = "".join(f"        {fault!r},\n" for fault in self.schedule)
+        default = vars(Chosen())
+        chosen = ", ".join(f"{key}={own!r}" for key, own in vars(self.chosen).items() if own != default[key])
         return (
-            f"Failure(\n    seed={self.seed},\n    presses={self.presses},\n    chosen={self.chosen!r},\n"
+            f"Failure(\n    seed={self.seed},\n    presses={self.presses},\n    chosen=Chosen({chosen}),\n"
             f"    schedule=(\n{faults}    ),\n    says={self.says!r},\n)"
         )
 
