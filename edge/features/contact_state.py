@@ -29,6 +29,9 @@ __all__ = ["ContactWatch"]
 _PRESSED_S: Final = 0.2
 _FREE_S: Final = 2.0
 
+# A frame that a driver has kept while this process got no time: another part may lie there now.
+_OLD_S: Final = 1.0
+
 # Overloads that wait while the database refuses writes; the newest are kept.
 _MOST_WAITING: Final = 64
 
@@ -65,7 +68,9 @@ class ContactWatch(PressStage):
         self._reach = _place_reach(inspector)
 
     def take(self, frame: CameraFrame) -> None:
-        self._taken_ns = self._clock.monotonic_ns()
+        now_ns = self._clock.monotonic_ns()
+        is_old = not frame.is_on_demand and now_ns - frame.timestamp_ns > _OLD_S * 1e9
+        self._taken_ns = frame.timestamp_ns if is_old else now_ns
 
     def see(self, event: Event) -> None:
         """Say at once that a press rests. What else an event means is said with the look at its frame."""
@@ -81,6 +86,7 @@ class ContactWatch(PressStage):
         if look.sight.seen_ns == look.timestamp_ns:
             self._seen_ns = self._taken_ns  # a score may have taken long since, and nobody has looked
         self.follower.look(look)
+        self._lose_unseen()
         if look.seen is not None:
             self._look = look
         self._watch_overload()

@@ -203,6 +203,21 @@ def test_without_frames_nothing_is_said_of_the_contact(tmp_path: Path, configure
         assert on(tmp_path) == {3}
 
 
+def test_a_frame_that_waited_while_the_process_was_frozen_tells_nothing_of_the_contact(
+    tmp_path: Path, bundle: Path
+) -> None:
+    held = press_recording(tmp_path / "held", 1, motion=Motion(hold=80))
+    with IoStation(station_config(tmp_path, held, bundle, pace=1.0, tables=LIFT_NOW)) as station:
+        station.play(1)
+        station.play_until(lambda: on(tmp_path) == {1})
+        station.read(6)
+        station.clock.sleep(3)
+        station.look()
+        station.switch()
+        assert station.loop.is_pressed
+        assert on(tmp_path) == {3}
+
+
 def test_a_pass_does_not_outlive_a_time_in_which_the_loop_did_not_look(
     tmp_path: Path, bundle: Path, configure: Make
 ) -> None:
