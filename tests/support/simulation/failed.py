@@ -327,4 +327,22 @@ FAILED = (
         ),
         says="lift was shown at # s, and the loop hung since its press was seen",
     ),
+    # A frame that the driver had kept while the process was frozen told that the part of now may be lifted.
+    Failure(
+        seed=263341421,
+        presses=6,
+        chosen=Chosen(
+            level="3.1.1",
+            has_robot=True,
+            piece="free",
+            meetings=(
+                ("plc", "second plc"),
+                ("freeze", "hold back"),
+                ("select part", "replace gel"),
+                ("hang up", "lose database"),
+            ),
+        ),
+        schedule=(Fault(at_s=12.459467, name="freeze", seed=3835830209),),
+        says="lift was shown at # s, and press # was not recorded yet",
+    ),
 )

@@ -405,6 +405,7 @@ STAYS = {
     "piece",
     "gel",
     "gel_proof",
+    "gel_mark",
     "disk",
     "reference",
 }
