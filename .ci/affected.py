@@ -49,7 +49,7 @@ def list_changes(base: str) -> list[str]:
     changed = ["git", "diff", "--name-only", "--merge-base", base]
     new = ["git", "ls-files", "--others", "--exclude-standard"]
     done = [subprocess.run(words, check=True, capture_output=True, text=True) for words in (changed, new)]
-    return [line for one in done for line in one.stdout.splitlines()]
+    return [line for path in done for line in path.stdout.splitlines()]
 
 
 if __name__ == "__main__":

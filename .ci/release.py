@@ -33,12 +33,12 @@ def main(folder: Path) -> None:
         for name, mask in (("one", 0o022), ("the other", 0o077)):
             built = build(commit, Path(home, name), mask)
             builds.append({path.name: level(path, int(epoch)) for path in sorted(built.iterdir())})
-    one, other = builds
-    if one != other:
-        names = [name for name in one if one[name] != other.get(name)]
+    first_build, other = builds
+    if first_build != other:
+        names = [name for name in first_build if first_build[name] != other.get(name)]
         sys.exit(f"two builds of one commit differ in {', '.join(names) or 'their names'}")
     folder.mkdir(exist_ok=True)
-    for name, content in one.items():
+    for name, content in first_build.items():
         (folder / name).write_bytes(content)
         print(f"{hashlib.sha256(content).hexdigest()}  {folder / name}")
 

@@ -27,9 +27,9 @@ def main(pip_audit: str, output: Path) -> None:
     output.unlink(missing_ok=True)
     bill = json.loads(bill_of_materials([]))
     packages = {
-        one["purl"].removeprefix("pkg:pypi/"): one["bom-ref"]
-        for one in bill["components"]
-        if one.get("purl", "").startswith("pkg:pypi/")
+        component["purl"].removeprefix("pkg:pypi/"): component["bom-ref"]
+        for component in bill["components"]
+        if component.get("purl", "").startswith("pkg:pypi/")
     }
     statements = tomllib.loads(STATEMENTS.read_text(encoding="utf-8")).get("statement", [])
     answers = ask(pip_audit, sorted(packages))
@@ -42,9 +42,9 @@ def main(pip_audit: str, output: Path) -> None:
     bill["serialNumber"] = f"urn:uuid:{uuid5(NAMESPACE_URL, bill['serialNumber'] + json.dumps(known))}"
     output.write_text(json.dumps(bill, indent=2) + "\n", encoding="utf-8")
     open_ones = [
-        f"{one['id']} of {one['affects'][0]['ref']} is {one['analysis']['state']}"
-        for one in known
-        if one["analysis"]["state"] in ("in_triage", "exploitable")
+        f"{weakness['id']} of {weakness['affects'][0]['ref']} is {weakness['analysis']['state']}"
+        for weakness in known
+        if weakness["analysis"]["state"] in ("in_triage", "exploitable")
     ]
     print(f"{output}: {len(packages)} packages asked, {len(known)} weaknesses known, {len(open_ones)} open")
     if open_ones:
@@ -54,18 +54,24 @@ def main(pip_audit: str, output: Path) -> None:
 def ask(pip_audit: str, packages: list[str]) -> list[dict[str, Any]]:
     """Return what pip-audit says of each package. Ends with 1 where it cannot say it of all."""
     with NamedTemporaryFile("w", suffix=".txt") as pinned:
-        pinned.write("".join(f"{one.replace('@', '==')}\n" for one in packages))
+        pinned.write("".join(f"{package.replace('@', '==')}\n" for package in packages))
         pinned.flush()
         words = [pip_audit, "-r", pinned.name, "--no-deps", "--disable-pip", "--format", "json"]
         done = subprocess.run(words, capture_output=True, text=True, check=False)
     try:
-        found = json.loads(done.stdout)["dependencies"]
+        dependencies = json.loads(done.stdout)["dependencies"]
         # Not its last words: they are "No known vulnerabilities found" where it has asked about none.
-        why = next((one["skip_reason"] for one in found if "skip_reason" in one), "")
+        why = next(
+            (dependency["skip_reason"] for dependency in dependencies if "skip_reason" in dependency), ""
+        )
     except ValueError:
-        found, why = [], done.stderr[-300:]
-    answers = {f"{one['name']}@{one['version']}": one for one in found if "vulns" in one}
-    if missing := [one for one in packages if one not in answers]:
+        dependencies, why = [], done.stderr[-300:]
+    answers = {
+        f"{dependency['name']}@{dependency['version']}": dependency
+        for dependency in dependencies
+        if "vulns" in dependency
+    }
+    if missing := [package for package in packages if package not in answers]:
         sys.exit(
             f"UNKNOWN, NOT CHECKED: pip-audit has no answer for {len(missing)} of {len(packages)} packages, "
             f"such as {missing[0]}; there is no document. Is the database of PyPI reachable? {why}"
@@ -79,18 +85,20 @@ def describe(
     """Return a weakness as CycloneDX has it, with the statement that names it by any of its numbers."""
     numbers = [weakness["id"], *weakness["aliases"]]
     analysis = {"state": "in_triage"}
-    for one in statements:
-        if unknown := one.keys() - KEYS:
+    for statement in statements:
+        if unknown := statement.keys() - KEYS:
             sys.exit(
                 f"{STATEMENTS.name}: {', '.join(sorted(unknown))} is unknown; a statement has {', '.join(sorted(KEYS))}"
             )
-        if one["id"] in numbers and one["package"] == package:
-            analysis = {key: value for key, value in one.items() if key not in ("id", "package")}
+        if statement["id"] in numbers and statement["package"] == package:
+            analysis = {key: value for key, value in statement.items() if key not in ("id", "package")}
     return {
         "id": weakness["id"],
         "description": weakness["description"],
         "affects": [{"ref": reference}],
-        "references": [{"id": one, "source": {"name": one.partition("-")[0]}} for one in sorted(numbers[1:])],
+        "references": [
+            {"id": number, "source": {"name": number.partition("-")[0]}} for number in sorted(numbers[1:])
+        ],
         "analysis": analysis,
     }
 

@@ -33,12 +33,12 @@ def claim(
                 f"{what} {folder} cannot be started: {refused.strerror}; free some space, or choose another folder"
             ) from refused
         return
-    found, wanted = read_stamp(folder / name), json.loads(json.dumps(stamp))
-    if found is None:
+    stored_stamp, wanted = read_stamp(folder / name), json.loads(json.dumps(stamp))
+    if stored_stamp is None:
         raise error(f"{folder} is not empty and holds no {what}; {way_on}")
-    keys = [key for key in wanted if key != "complete" and found.get(key) != wanted[key]]
+    keys = [key for key in wanted if key != "complete" and stored_stamp.get(key) != wanted[key]]
     if keys:
-        differences = ", ".join(_compare(key, found.get(key), wanted[key]) for key in keys)
+        differences = ", ".join(_compare(key, stored_stamp.get(key), wanted[key]) for key in keys)
         raise error(f"{folder} holds another {what}: {differences}; {way_on}, or give the same settings")
 
 

@@ -133,14 +133,19 @@ def _registers() -> Iterator[str]:
     bits = enumerate(registers.STATUS_BITS)
     yield from table(heading, ((str(n), name, about) for n, (name, about, _) in bits))
     yield "\n**Input registers** (function 4):"
-    yield from table(heading, _places((one.name, one.count, one.meaning) for one in registers.INPUTS))
+    yield from table(
+        heading, _places((register.name, register.count, register.meaning) for register in registers.INPUTS)
+    )
     yield "\n**Holding registers** (functions 3, 6, 16), which the PLC writes; a trigger takes them as they are then:"
     held = registers.HOLDING.items()
     yield from table(heading, _places((name, count, about) for name, (count, about) in held))
     yield "\n**Codes** of an error and of a refusal:"
     yield from table(("code", "meaning"), ((str(int(code)), code.meaning) for code in Code))
     yield "\n**Alarm word**; [operations.md](operations.md#alarms) has every alarm:"
-    alarms = [*(", ".join(f"`{one}`" for one in names) for names in registers.ALARM_BITS), "every other one"]
+    alarms = [
+        *(", ".join(f"`{verb}`" for verb in names) for names in registers.ALARM_BITS),
+        "every other one",
+    ]
     yield from table(("bit", "alarms"), ((str(bit), names) for bit, names in enumerate(alarms)))
 
 

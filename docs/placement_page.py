@@ -29,14 +29,14 @@ def page(fixture: pd.DataFrame, by_hand: pd.DataFrame) -> str:
     """Make the page, from the rows of both."""
     keys = ["backbone", "method"]
     held, placed = (rows.groupby(keys)["aupro_001"] for rows in (fixture, by_hand))
-    found = held.agg(_write_span).to_frame("fixture")
-    found["by hand"] = placed.agg(_write_span)
-    found["difference"] = (placed.mean() - held.mean()).map("{:+.3f}".format)
+    comparison = held.agg(_write_span).to_frame("fixture")
+    comparison["by hand"] = placed.agg(_write_span)
+    comparison["difference"] = (placed.mean() - held.mean()).map("{:+.3f}".format)
     return PAGE.format(
         parts=", ".join(sorted(by_hand["part"].unique())),
         presses=by_hand["presses"].max(),
         seeds=by_hand["seed"].nunique(),
-        lines=table(found.reset_index()),
+        lines=table(comparison.reset_index()),
     )
 
 

@@ -25,7 +25,10 @@ _OPTION: Final = ("option", "default", "what it is")
 
 def cli_page() -> str:
     """Every verb with its arguments, options and defaults, and the exit codes."""
-    every = {path: [one for one in parameters(verb) if not one.is_hidden] for path, verb in verbs()}
+    every = {
+        path: [parameter for parameter in parameters(verb) if not parameter.is_hidden]
+        for path, verb in verbs()
+    }
     shared = _shared(chain.from_iterable(every.values()))
     common = ["## Options of several verbs", *table(_OPTION, (one.cells() for one in shared)), ""]
     sections = (_section(path, verb, every[path], shared) for path, verb in verbs())
@@ -45,11 +48,11 @@ def verbs() -> Iterator[tuple[str, Callable[..., None]]]:
     for name in sorted(registry.names("commands"), key=place):
         verb = registry.command(name)
         if isinstance(verb, typer.Typer):
-            for one in verb.registered_commands:
-                if one.callback is not None:
+            for command in verb.registered_commands:
+                if command.callback is not None:
                     yield (
-                        f"gelgate {place(name)} {one.name or one.callback.__name__.replace('_', '-')}",
-                        one.callback,
+                        f"gelgate {place(name)} {command.name or command.callback.__name__.replace('_', '-')}",
+                        command.callback,
                     )
         else:
             yield f"gelgate {place(name)}", verb
@@ -89,8 +92,8 @@ def parameters(verb: Callable[..., None]) -> list[Parameter]:
     """What a verb takes, arguments first."""
     hints = get_type_hints(verb, include_extras=True)
     found = [
-        Parameter.of(name, hints[name], one.default)
-        for name, one in inspect.signature(verb).parameters.items()
+        Parameter.of(name, hints[name], parameter.default)
+        for name, parameter in inspect.signature(verb).parameters.items()
     ]
     return sorted(found, key=lambda one: not one.is_argument)
 
@@ -110,12 +113,12 @@ def _section(
 
 def _type_words(kind: Any, info: Any) -> str:
     """What may follow an option, in words."""
-    kinds = {one for one in (kind, *get_args(kind)) if isinstance(one, type)} - {NoneType}
-    inner = {one for given in get_args(kind) for one in get_args(given)} | kinds
+    kinds = {arg for arg in (kind, *get_args(kind)) if isinstance(arg, type)} - {NoneType}
+    inner = {arg for given in get_args(kind) for arg in get_args(given)} | kinds
     words = next(word for one, word in _WORDS.items() if one in inner)
     limits = (("at least", info.min), ("at most", info.max))
     bounds = [f"{word} {number(limit)}" for word, limit in limits if limit is not None]
-    is_list = list in {get_origin(one) for one in (kind, *get_args(kind))}
+    is_list = list in {get_origin(arg) for arg in (kind, *get_args(kind))}
     return ", ".join([words, *bounds, *(["repeatable"] if is_list else [])])
 
 

@@ -179,7 +179,7 @@ def parameters_page() -> str:
 
 
 def _fit() -> Iterator[str]:
-    hidden = (one for one in parameters(fit) if one.is_hidden)
+    hidden = (parameter for parameter in parameters(fit) if parameter.is_hidden)
     yield "## fit"
     yield from table(
         ("name", "value", "default", "what it is"),

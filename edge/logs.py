@@ -107,11 +107,13 @@ class Lines(logging.StreamHandler[TextIO]):
         try:
             line = self.format(record) + "\n"
             if self._left_out:
-                said = (
+                message = (
                     "%s left out: nothing was read here; inspection went on",
                     write_count(self._left_out, "line"),
                 )
-                missed = logging.LogRecord(__name__, logging.WARNING, __file__, 0, said[0], said[1:], None)
+                missed = logging.LogRecord(
+                    __name__, logging.WARNING, __file__, 0, message[0], message[1:], None
+                )
                 line = self.format(missed) + "\n" + line
             self._left_out = 0 if self._writer.put(line) else self._left_out + 1
         except Exception:  # noqa: BLE001 - as every handler of logging does

@@ -83,9 +83,9 @@ def foreign(group: Group) -> Mapping[str, str]:
 
 def command(name: str) -> Verb:
     """The verb of that name: a function, or a group of them. Errors: as `device`."""
-    found = _load("commands", name)
-    if callable(found):
-        return found
+    verb = _load("commands", name)
+    if callable(verb):
+        return verb
     raise ConfigError(f"the entry point '{name}' of gelgate.commands is not a function; correct its package")
 
 
@@ -95,21 +95,21 @@ _installed = cache(entry_points)
 
 @cache
 def _points(group: Group) -> Mapping[str, list[EntryPoint]]:
-    found: dict[str, list[EntryPoint]] = {}
+    points: dict[str, list[EntryPoint]] = {}
     for point in _installed().select(group=f"gelgate.{group}"):
-        known = found.setdefault(point.name, [])
+        known = points.setdefault(point.name, [])
         if point.value not in [one.value for one in known]:
             known.append(point)
-    return found
+    return points
 
 
 def _plugin(group: Group, name: str) -> Any:
-    found, protocol = _load(group, name), _protocol(group)
-    if isinstance(found, protocol):
-        return found
-    lacking = sorted(one for one in vars(protocol) if not one.startswith("_") and not hasattr(found, one))
+    plugin, protocol = _load(group, name), _protocol(group)
+    if isinstance(plugin, protocol):
+        return plugin
+    lacking = sorted(var for var in vars(protocol) if not var.startswith("_") and not hasattr(plugin, var))
     raise ConfigError(
-        f"the {group} plugin '{name}' is a {type(found).__name__} without {', '.join(lacking)}; "
+        f"the {group} plugin '{name}' is a {type(plugin).__name__} without {', '.join(lacking)}; "
         f"an entry point of gelgate.{group} names an object that has them (docs/plugins.md)"
     )
 
@@ -161,12 +161,10 @@ def hidden_package(module: str) -> str | None:
     package, ours = module.partition(".")[0], Path(__file__).resolve().parents[1]
     spec = find_spec(package) if package and (ours / package).is_dir() else None
     places = list((spec and spec.submodule_search_locations) or [spec.origin if spec and spec.origin else ""])
-    found = Path(places[0]).resolve()
-    if spec is None or found.parent == ours:
+    path = Path(places[0]).resolve()
+    if spec is None or path.parent == ours:
         return None
-    return (
-        f"{found} hides gelgate's own package '{package}'; rename it, or take {found.parent} off PYTHONPATH"
-    )
+    return f"{path} hides gelgate's own package '{package}'; rename it, or take {path.parent} off PYTHONPATH"
 
 
 @cache

@@ -46,10 +46,10 @@ def _sentence(model: type[BaseModel], where: str, fault: Mapping[str, Any]) -> s
         message = "expected a table"
     if fault["type"] in ("tuple_type", "list_type"):
         message = "expected a list, such as [1, 2]"
-    found = fault["input"]
-    if any(isinstance(one, Mapping | BaseModel) for one in (found if isinstance(found, list) else [found])):
+    entry = fault["input"]
+    if any(isinstance(one, Mapping | BaseModel) for one in (entry if isinstance(entry, list) else [entry])):
         return f"'{key}': {message}" if key else message
-    return f"'{key}' is {found!r}: {message}"
+    return f"'{key}' is {entry!r}: {message}"
 
 
 def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:

@@ -25,15 +25,15 @@ def main(host, port, root):
     client.loop_start()
     while True:
         message = news.get()  # a robot that waits here stays where it is
-        said = json.loads(message.payload)
+        payload = json.loads(message.payload)
         if message.topic.endswith("/state"):
-            is_ready = said["state"] == "ready"
-        elif not is_ready or abs(time.time_ns() - said["time_ns"]) > 0.5e9:
+            is_ready = payload["state"] == "ready"
+        elif not is_ready or abs(time.time_ns() - payload["time_ns"]) > 0.5e9:
             continue  # another part may lie there by now
-        elif said["state"] == "overload":
+        elif payload["state"] == "overload":
             print("retreat", flush=True)
-        elif said["state"] == "lift" and said["press_id"] != lifted:
-            lifted = said["press_id"]
+        elif payload["state"] == "lift" and payload["press_id"] != lifted:
+            lifted = payload["press_id"]
             print("lift", lifted, flush=True)
 
 

@@ -119,9 +119,9 @@ class Detector:
         for r, top in enumerate(rows):
             for c, left in enumerate(columns):
                 tile = np.ascontiguousarray(rgb[top : top + side, left : left + side])[None]
-                for name, found in zip(names, self._trunk.run(names, {"frames": tile}), strict=True):
-                    h, w = found.shape[2:]
-                    mosaics[name][:, :, r * h : (r + 1) * h, c * w : (c + 1) * w] = found
+                for name, tile_map in zip(names, self._trunk.run(names, {"frames": tile}), strict=True):
+                    h, w = tile_map.shape[2:]
+                    mosaics[name][:, :, r * h : (r + 1) * h, c * w : (c + 1) * w] = tile_map
         return mosaics
 
     def _session(self, entry, threads):

@@ -120,9 +120,9 @@ def finish_bundle(
     alpha = config.alpha if config.threshold is None else None
     if alpha is not None:
         require_enough(len(presses), alpha)
-    said = warnings(presses, (config.region.height, config.region.width), alpha)
+    sentences = warnings(presses, (config.region.height, config.region.width), alpha)
     colours = nominal_colours(presses.frames)
-    said += [*rate_warnings(presses.specimens, alpha), *colour_warnings(colours)]
+    sentences += [*rate_warnings(presses.specimens, alpha), *colour_warnings(colours)]
 
     def facts(threshold: ThresholdEntry, tolerance: ToleranceEntry, **more: Any) -> Facts:
         return Facts(
@@ -139,13 +139,13 @@ def finish_bundle(
             contact=contact_range(presses),
             strength=strength_range(presses),
             colours=colours,
-            provenance=provenance(created, presses, None, said),
+            provenance=provenance(created, presses, None, sentences),
         )
 
     scorer = Scorer(_pack(parts, facts(*placeholders())).bundle(), config.threads)
     scores = _score(scorer, presses, report)
     doubts, more = measure(scorer, scores)
-    said += doubts
+    sentences += doubts
     golden = golden_frames(scorer, presses.frames)
     tolerance = measure_tolerance(scorer, golden, config.threads)
     if config.threshold is None:
@@ -154,9 +154,9 @@ def finish_bundle(
     else:
         threshold = state_threshold(config.threshold, config.alpha)
     apart = [] if alpha is None else apart_warnings(scores, presses.names)
-    said += apart
+    sentences += apart
     black = np.zeros_like(presses.frames[0])
-    said += black_warnings(scorer.score(black).anomaly_score, threshold, refuses(colours, black), apart)
+    sentences += black_warnings(scorer.score(black).anomaly_score, threshold, refuses(colours, black), apart)
     cost = cost_card(scorer, presses.frames, config.threads, {})
     fitted = _pack(parts, facts(threshold, tolerance, **more).model_copy(update={"cost": cost}), golden)
     Scorer(fitted.bundle(), config.threads).check_golden()
@@ -198,19 +198,19 @@ def direction_warnings(scorer: Scorer, frames: U8, scores: F64) -> list[str]:
             f"nominal scores, their median change is {float(np.median(change)):.3g}; pass --negate if lower scores are "
             "more anomalous in this graph, or choose another output with --score-output"
         )
-    said = []
+    sentences = []
     if rising < AGREEING_SHARE * count:
-        said.append(
+        sentences.append(
             f"a painted square raises {rising} and lowers {falling} of {count} nominal scores: whether higher scores "
             "are more anomalous is not known; score a damaged press before use"
         )
     largest = max(float((scores == value).mean()) for value in (scores.min(), scores.max()))
     if len(scores) >= 4 and largest > SATURATED_SHARE:
-        said.append(
+        sentences.append(
             f"{largest:.0%} of the nominal presses have one score: the graph limits its scores, so the threshold tells "
             "little; export it without its normalisation"
         )
-    return said
+    return sentences
 
 
 def paint_square(rgb: U8) -> U8:

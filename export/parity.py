@@ -97,12 +97,12 @@ class Stage:
     @cached_property
     def fault(self) -> str:
         """The reason why the stages cannot be compared, or empty."""
-        expected, found = self.expected, self.found
-        if expected.shape != found.shape:
-            return f"has shape {found.shape}, the research model gives {expected.shape}"
+        expected, bundle_array = self.expected, self.found
+        if expected.shape != bundle_array.shape:
+            return f"has shape {bundle_array.shape}, the research model gives {expected.shape}"
         if expected.size == 0 or (self.kind == "order" and expected.ndim != 1):
             return f"has shape {expected.shape} and cannot be compared"
-        for whose, array in (("the research model", expected), ("the bundle", found)):
+        for whose, array in (("the research model", expected), ("the bundle", bundle_array)):
             if array.dtype.kind not in "fiub" or not np.isfinite(array).all():
                 return f"holds values of {whose} that are not finite numbers ({array.dtype})"
         return ""
@@ -141,10 +141,10 @@ class Stage:
                 f"stage '{self.name}': the rank correlation of {len(self.expected)} scores is {self.difference:.4f}, "
                 f"at least {self.allowed:g} is expected"
             )
-        expected, found = self.expected[self.at], self.found[self.at]
+        expected, bundle_value = self.expected[self.at], self.found[self.at]
         return (
             f"stage '{self.name}': largest difference {self.difference:.2g} of the largest value at {self.at} "
-            f"(expected {expected:.6g}, found {found:.6g}), {self.allowed:g} is allowed"
+            f"(expected {expected:.6g}, found {bundle_value:.6g}), {self.allowed:g} is allowed"
         )
 
 
@@ -210,7 +210,7 @@ def show_frames(scorer: Scorer, frames: Iterable[U8]) -> U8:
     prepared = [scorer.bundle.prepare(frame) for frame in frames]
     registered = [scorer.score_prepared(frame).registered for frame in prepared]
     return np.stack(
-        [frame if one is None else one.rgb for frame, one in zip(prepared, registered, strict=True)]
+        [frame if placed is None else placed.rgb for frame, placed in zip(prepared, registered, strict=True)]
     )
 
 

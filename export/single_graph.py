@@ -89,7 +89,7 @@ def adapt(data: bytes, frames: U8, given: GraphInput | None = None, where: str =
     merged = append(body, _end(chosen, outputs, frame, sign), kept)
     merged.graph.name = "adapted"
     graph = bytes(merged.SerializeToString())
-    found = {
+    facts = {
         "input": f"{picture.name}, {picture.layout}, {'uint8' if picture.is_bytes else 'float32'}, {why}",
         "preprocessing": steps.words,
         "outputs": f"map {chosen.map}, score {chosen.score or 'the largest value of the map'}",
@@ -100,19 +100,19 @@ def adapt(data: bytes, frames: U8, given: GraphInput | None = None, where: str =
         Stage(f"normalised {name}", outputs[name + SUFFIX], how.apply(outputs[name]), "score")
         for name, how in normalised.items()
     ]
-    return Adapted(graph, found, _compare(graph, shown, pixels, expected, found, picture, where, before))
+    return Adapted(graph, facts, _compare(graph, shown, pixels, expected, facts, picture, where, before))
 
 
 def _describe_normalisation(normalised: Mapping[str, Normalisation], sign: float) -> dict[str, str]:
     """Say what is done with normalised outputs that are taken raw."""
-    said = {}
+    facts = {}
     if normalised:
-        said["normalisation"] = f"left out: {'; '.join(n.words for n in normalised.values())}"
+        facts["normalisation"] = f"left out: {'; '.join(n.words for n in normalised.values())}"
     own = normalised["pred_score"].own_threshold if "pred_score" in normalised else None
     if own is not None:
         value = f"{sign * own:.7g}"
-        said["threshold of the model"] = f"{value} of raw scores; --threshold {value} takes it"
-    return said
+        facts["threshold of the model"] = f"{value} of raw scores; --threshold {value} takes it"
+    return facts
 
 
 def _scaling(

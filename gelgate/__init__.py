@@ -41,11 +41,14 @@ def main() -> NoReturn:
     except ImportError:
         import edge
 
-        found, ours = Path(next(iter(getattr(edge, "__path__", [edge.__file__])))), Path(__file__).parents[1]
-        if found.parent.resolve() == ours.resolve():
+        hiding, ours = (
+            Path(next(iter(getattr(edge, "__path__", [edge.__file__])))),
+            Path(__file__).parents[1],
+        )
+        if hiding.parent.resolve() == ours.resolve():
             raise
         print(
-            f"gelgate: {found} hides gelgate's own package 'edge'; rename it, or take {found.parent} off PYTHONPATH",
+            f"gelgate: {hiding} hides gelgate's own package 'edge'; rename it, or take {hiding.parent} off PYTHONPATH",
             file=sys.stderr,
         )
         sys.exit(3)

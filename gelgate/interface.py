@@ -178,16 +178,18 @@ def fit(
     from calibration.fitting.fit import fit_files
 
     given = [pictures] if isinstance(pictures, str | Path | np.ndarray) else list(pictures)
-    options = {one.name for one in fields(FitArguments)} & settings.keys()
+    options = {field.name for field in fields(FitArguments)} & settings.keys()
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder, "bundle") if output is None else Path(output)
         refuse_existing(target, overwrite=False)
         arguments: dict[str, Any] = {
-            "sources": [_as_file(one, Path(folder, f"{number:06d}.png")) for number, one in enumerate(given)],
+            "sources": [
+                _as_file(picture, Path(folder, f"{number:06d}.png")) for number, picture in enumerate(given)
+            ],
             "output": target,
             "part": part,
             "position": position,
-            "no_contact": [Path(one) for one in free_gel] or None,
+            "no_contact": [Path(picture) for picture in free_gel] or None,
             "settings": [f"{name}={json.dumps(settings[name])}" for name in settings.keys() - options],
             **{name: settings[name] for name in options},
         }

@@ -80,16 +80,16 @@ Stream = Iterator[Found]
 def _stream(given: AcquireArguments, profile: SensorProfile) -> tuple[Stream, str, str, int]:
     """The presses, their part and position, and how many presses the gel is rated for. Errors: as the sources'."""
     if given.sources:
-        found = resolve_sources(given.sources, given.part, given.position, profile)
+        sources = resolve_sources(given.sources, given.part, given.position, profile)
         stream = from_sources(
-            found.paths,
+            sources.paths,
             profile,
-            found.specimens,
+            sources.specimens,
             no_contact=given.no_contact or (),
             resize=given.resize,
             pattern=given.pattern,
         )
-        return stream, found.part, found.position, DEFAULT_LIMIT_PRESSES
+        return stream, sources.part, sources.position, DEFAULT_LIMIT_PRESSES
     if given.part is None:
         raise typer.BadParameter("Missing option '--part': a sensor does not know what is pressed.")
     check_name("--part", given.part)
@@ -107,19 +107,19 @@ def _stream(given: AcquireArguments, profile: SensorProfile) -> tuple[Stream, st
 def _run(acquiring: Acquiring, stream: Stream, limit: int, most: int, go_on: bool) -> None:
     """Take presses until they are enough, the source ends, or there are `most`."""
     standing = acquiring.standing
-    said = 0
+    warning_count = 0
     while standing.presses < most and (go_on or not standing.is_enough):
-        found = next(stream, None)
-        if found is None:
+        picture = next(stream, None)
+        if picture is None:
             return
-        kept = acquiring.take(found)
-        for why in acquiring.left_out[said:]:
+        kept = acquiring.take(picture)
+        for why in acquiring.left_out[warning_count:]:
             typer.echo(f"warning: left out: {why}", err=True)
-        said = len(acquiring.left_out)
-        if kept is None or isinstance(found, str):
+        warning_count = len(acquiring.left_out)
+        if kept is None or isinstance(picture, str):
             continue
         standing = acquiring.standing
-        acquiring.folder.log(signals(standing, kept.path.name, found.name, found.piece))
+        acquiring.folder.log(signals(standing, kept.path.name, picture.name, picture.piece))
         typer.echo(press_line(standing, kept.piece))
         if standing.presses % ROUND == 0:
             typer.echo("\n".join(forecast_lines(standing, limit)))

@@ -89,11 +89,11 @@ def rarefied(shares: F64) -> F64:
     """
     n = len(shares)
     r = np.arange(n, dtype=np.float64)
-    unseen, found = np.ones(n), [1.0]
+    unseen, unseen_shares = np.ones(n), [1.0]
     for m in range(1, n):
         unseen = unseen * np.maximum(n - r - m, 0) / (n - m)
-        found.append(float(unseen @ shares))
-    return np.array(found)
+        unseen_shares.append(float(unseen @ shares))
+    return np.array(unseen_shares)
 
 
 class PlaceDistances:
@@ -159,9 +159,9 @@ def _average_squares(maps: F32) -> F32:
 def _in_cells(touched: Mask, places: tuple[int, ...]) -> Mask:
     """Which cells hold a touched pixel."""
     rows, cols = np.nonzero(touched)
-    found = np.zeros(places, np.bool_)
-    found[rows * places[0] // touched.shape[0], cols * places[1] // touched.shape[1]] = True
-    return found
+    cells = np.zeros(places, np.bool_)
+    cells[rows * places[0] // touched.shape[0], cols * places[1] // touched.shape[1]] = True
+    return cells
 
 
 ROUND = 4

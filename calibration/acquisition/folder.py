@@ -130,7 +130,7 @@ class AcquisitionFolder:
     def _unused(self, name: str, kept: int) -> str:
         """Return the first name after those kept that no file has: people remove pictures."""
         names = (name.format(number) for number in itertools.count(kept + 1))
-        return next(one for one in names if not any(self.root.glob(f"{one}.*")))
+        return next(file_name for file_name in names if not any(self.root.glob(f"{file_name}.*")))
 
     def _write(self, name: str, payload: bytes) -> Path:
         """A complete file or none; after a power cut, too."""

@@ -239,11 +239,11 @@ def _find_sensor(
         plugin = registry.device(name)
         if device is None and any(one.is_required() for one in plugin.Options.model_fields.values()):
             continue  # it plays a file, which nobody can find
-        for found in plugin.discover(plugin_options("devices", name, plugin.Options, option)):
-            if found.identity is None:
-                refused.append(f"; {found.product} at {found.place} is refused: {found.refusal}")
+        for candidate in plugin.discover(plugin_options("devices", name, plugin.Options, option)):
+            if candidate.identity is None:
+                refused.append(f"; {candidate.product} at {candidate.place} is refused: {candidate.refusal}")
             else:
-                sensors.append((name, found.identity))
+                sensors.append((name, candidate.identity))
     if not sensors:
         raise DeviceNotFound(
             f"no sensor was found, expected one on USB{''.join(refused)}; plug it in, or name a plugin with --device"

@@ -91,10 +91,10 @@ def summary_lines(standing: Standing, gel_limit: int) -> list[str]:
 
 
 def _why_unknown(standing: Standing) -> str:
-    found = "pieces unknown" if standing.pieces is None else f"{standing.pieces} piece"
-    found += "s" * (standing.pieces is not None and standing.pieces != 1)
+    pieces = "pieces unknown" if standing.pieces is None else f"{standing.pieces} piece"
+    pieces += "s" * (standing.pieces is not None and standing.pieces != 1)
     return (
-        f"coverage unknown: {standing.presses} presses, {found}; what a new piece would show is not known from fewer "
+        f"coverage unknown: {standing.presses} presses, {pieces}; what a new piece would show is not known from fewer "
         f"than {LEAST} pieces: press other pieces"
     )
 

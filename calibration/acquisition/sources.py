@@ -80,7 +80,7 @@ def from_sources(
                 raise FitError(f"no press was found: {why_unread(source, finder.detector)}")
     pictures = [source for source in sources if not is_recording(source)]
     for path in list_pictures(pictures, pattern):
-        if not any(path.samefile(one) for one in free):
+        if not any(path.samefile(frame) for frame in free):
             yield _of_picture(path, specimens.get(path) or specimen_of(path), profile, resize)
 
 
@@ -99,19 +99,19 @@ def from_frames(
     pieces: dict[int, object] = {}
     for frame, piece in frames:
         pieces[frame.sequence] = piece
-        for found in finder.feed(frame):
-            shown = found.frame if isinstance(found, FoundPress) else found
+        for press_or_free in finder.feed(frame):
+            shown = press_or_free.frame if isinstance(press_or_free, FoundPress) else press_or_free
             where = f"{name}#{shown.sequence}"
             try:
                 rgb = decode(shown, profile)
             except FrameCorrupt as error:
                 yield f"press {where} cannot be read: {error}"
                 continue
-            if not isinstance(found, FoundPress):
+            if not isinstance(press_or_free, FoundPress):
                 yield Shown(where, shown.payload, rgb, is_free=True)
                 continue
             known = pieces.get(shown.sequence)
-            yield Shown(where, shown.payload, rgb, None if known is None else str(known), found.mask)
+            yield Shown(where, shown.payload, rgb, None if known is None else str(known), press_or_free.mask)
             pieces = {key: kept for key, kept in pieces.items() if key > shown.sequence}
 
 

@@ -129,7 +129,7 @@ def draw_sheet(evaluation: Evaluation) -> bytes:
 
 
 def _draw_row(title: str, presses: Sequence[ScoredPress], evaluation: Evaluation) -> U8:
-    drawn = [_draw(one, evaluation) for one in presses]
+    drawn = [_draw(press, evaluation) for press in presses]
     drawn += [np.full_like(drawn[0], _PAPER)] * (_COLUMNS - len(drawn))
     row = np.concatenate(drawn, axis=1)
     heading = np.full((_HEADING, row.shape[1], 3), _PAPER, np.uint8)

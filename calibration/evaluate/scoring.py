@@ -80,11 +80,15 @@ class Evaluation:
     @property
     def remarks(self) -> list[str]:
         """Sentences on what may be a mistake of the dataset: empty masks, and copies of pictures."""
-        where, presses = self.dataset.root.name, [one.press for one in self.scored]
-        defective = [one for one in self.scored if one.press.is_defective]
+        where, presses = self.dataset.root.name, [scored_press.press for scored_press in self.scored]
+        defective = [scored_press for scored_press in self.scored if scored_press.press.is_defective]
         digests = [hashlib.sha256(press.path.read_bytes()).digest() for press in presses]
         return [
-            *empty_masks(where, [one.press for one in defective], [one.mask for one in defective]),
+            *empty_masks(
+                where,
+                [scored_press.press for scored_press in defective],
+                [scored_press.mask for scored_press in defective],
+            ),
             *repeated_pictures(where, presses, digests),
         ]
 
@@ -168,12 +172,12 @@ def _find_fitted(presses: Sequence[LabelledPress], manifest: Manifest) -> set[Pa
         at = press.position
         return press.part == manifest.part, at == manifest.position, at == "train"
 
-    found: set[Path] = set()
+    paths: set[Path] = set()
     for name in manifest.provenance.presses:
         meant = ending.get(name.lstrip("/"), [])
         most = max(map(likeness, meant), default=None)
-        found |= {press.path for press in meant if likeness(press) == most}
-    return found
+        paths |= {press.path for press in meant if likeness(press) == most}
+    return paths
 
 
 def score_presses(
@@ -192,14 +196,21 @@ def score_presses(
     with show("scoring presses", len(presses)) as advance:
         for done, press in enumerate(presses, start=1):
             try:
-                one = scorer.score(np.ascontiguousarray(region.crop(press.rgb())))
+                press_score = scorer.score(np.ascontiguousarray(region.crop(press.rgb())))
             except NotScorable as error:
                 unscorable.append((press, str(error)))
             else:
                 mask = np.ascontiguousarray(region.crop(press.mask()))
-                pose = None if one.registered is None else one.registered.pose
-                found = one.score_map, mask, one.anomaly_score, one.trunk_ms, one.head_ms, pose
-                scored.append(ScoredPress(press, *found))
+                pose = None if press_score.registered is None else press_score.registered.pose
+                fields = (
+                    press_score.score_map,
+                    mask,
+                    press_score.anomaly_score,
+                    press_score.trunk_ms,
+                    press_score.head_ms,
+                    pose,
+                )
+                scored.append(ScoredPress(press, *fields))
             advance(done)
     return tuple(scored), tuple(unscorable)
 

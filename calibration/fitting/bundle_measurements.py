@@ -184,13 +184,13 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
         raise FitError(
             f"presses are {presses.frames.shape[1:3]}, the region is {frame} (h, w); read them again"
         )
-    found = [*presses.faults, *find_copies(presses.names, list(presses.frames))]
+    sentences = [*presses.faults, *find_copies(presses.names, list(presses.frames))]
     if alpha is not None and n > 1 and len({rgb.tobytes() for rgb in presses.frames}) == 1:
         raise FitError(
             f"all {n} presses are one picture: they do not show how sound presses differ, so there is no threshold; "
             "give different presses, or state a threshold yourself"
         )
-    return found
+    return sentences
 
 
 def rate_warnings(specimens: Sequence[str | None], alpha: float | None) -> list[str]:

@@ -71,7 +71,7 @@ def carry_bundle(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -
     presses = take_out_dots(presses, bundle.profile.pixels_per_mm)
     presses = smooth_presses(presses) if bundle.manifest.is_smoothed else presses
     _check_presses(bundle, presses)
-    said = measuring.warnings(presses, bundle.manifest.frame, bundle.manifest.threshold.alpha)
+    sentences = measuring.warnings(presses, bundle.manifest.frame, bundle.manifest.threshold.alpha)
     scorer = Scorer(_weigh_relief(bundle, 0), config.threads)
     scores = _scores(scorer, presses)
     before = np.array(bundle.manifest.threshold.nominal_scores)
@@ -86,8 +86,8 @@ def carry_bundle(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -
         golden = [score_again(frame, scorer) for frame in golden]
     facts, free = _facts(bundle, presses, config, threshold, tolerance), presses.no_contact
     apart = _warn_of_apart(before, scores, presses.names)
-    said += measuring.rate_warnings(presses.specimens, threshold.alpha) + colour_warnings(facts.colours)
-    facts = _warn(facts, [*said, *_check_black(scorer, facts, apart), *apart])
+    sentences += measuring.rate_warnings(presses.specimens, threshold.alpha) + colour_warnings(facts.colours)
+    facts = _warn(facts, [*sentences, *_check_black(scorer, facts, apart), *apart])
     free_gel = most_typical(free) if bundle.free_gel is not None and free is not None else None
     fitted = Fitted(*rewrite_files(bundle, facts, golden, free_gel=free_gel, free_view=presses.free_view))
     Scorer(fitted.bundle(), config.threads).check_golden()
@@ -121,7 +121,10 @@ def _check_black(scorer: Scorer, facts: Facts, apart: Sequence[str]) -> list[str
 def _warn(facts: Facts, said: Sequence[str]) -> Facts:
     """Add what the new presses warn of to what the old ones did."""
     whole = facts.provenance
-    before = [one if one.startswith((UNPROVEN, _BEFORE)) else f"{_BEFORE}{one}" for one in whole.warnings]
+    before = [
+        warning if warning.startswith((UNPROVEN, _BEFORE)) else f"{_BEFORE}{warning}"
+        for warning in whole.warnings
+    ]
     proven = whole.model_copy(update={"warnings": (*before, *said)})
     return facts.model_copy(update={"provenance": proven})
 
@@ -187,13 +190,13 @@ def _misplaced(bundle: Bundle, presses: NominalPresses) -> Sequence[str]:
     if nominal is None:
         return []
     ranges = (nominal.x, nominal.y, nominal.area)
-    found = {
+    contacts = {
         name: (touch.x, touch.y, touch.area)
         for name, touch in zip(presses.names, presses.touches, strict=True)
     }
     return [
         name
-        for name, values in found.items()
+        for name, values in contacts.items()
         if not all(low <= value <= high for value, (low, high) in zip(values, ranges, strict=True))
     ]
 
@@ -237,11 +240,9 @@ def _threshold(
 ) -> ThresholdEntry:
     """Find the threshold, which promises what the new presses alone show: the bank has not seen them."""
     slack = tolerance.around(float(scores.max()))
-    found = conformal_threshold(scores, old.alpha, slack, "split-conformal", presses.specimens)
-    method = (
-        f"carried over to another gel ({found.value / old.value:.3g} times the limit before): {found.method}"
-    )
-    return found.model_copy(update={"method": method})
+    new = conformal_threshold(scores, old.alpha, slack, "split-conformal", presses.specimens)
+    method = f"carried over to another gel ({new.value / old.value:.3g} times the limit before): {new.method}"
+    return new.model_copy(update={"method": method})
 
 
 def _facts(
@@ -259,7 +260,7 @@ def _facts(
             facts[name] = {key: fact for key, fact in facts[name].items() if key != "found"} | {"why": why}
     came = {"carried_from": bundle.digest, "presses": len(presses)}
     known = gel_facts(config.gel_id).get("gel", {})
-    said = measuring.provenance(config.created, presses, old.provenance.seed, old.provenance.warnings)
+    provenance = measuring.provenance(config.created, presses, old.provenance.seed, old.provenance.warnings)
     return Facts(
         **{
             **dict(facts_of(old)),
@@ -270,6 +271,6 @@ def _facts(
             "colours": nominal_colours(presses.frames),
             "dots": None if presses.dots is None else DotsEntry.of(presses.dots),
             "accuracy": None,
-            "provenance": said,
+            "provenance": provenance,
         }
     )

@@ -139,10 +139,12 @@ def plan_fit(given: FitArguments) -> "tuple[NominalPresses, FitConfig]":
     from edge.core.imaging.region import Region
 
     sensor = choose_profile(given.profile, given.sources)
-    found = resolve_sources(given.sources, given.part, given.position, sensor, given.holdout, given.seed)
+    press_sources = resolve_sources(
+        given.sources, given.part, given.position, sensor, given.holdout, given.seed
+    )
     config = FitConfig(
-        part=found.part,
-        position=found.position,
+        part=press_sources.part,
+        position=press_sources.position,
         profile=sensor,
         region=Region.parse(given.region, sensor.size),
         **_detection(given),
@@ -161,12 +163,12 @@ def plan_fit(given: FitArguments) -> "tuple[NominalPresses, FitConfig]":
         settings=_asked_for(given),
     )
     presses = read_presses(
-        found.paths,
+        press_sources.paths,
         sensor,
         config.region,
         no_contact=given.no_contact,
         resize=given.resize,
-        specimens=found.specimens,
+        specimens=press_sources.specimens,
         leave_out=given.leave_out,
         pattern=given.pattern,
     )
@@ -189,7 +191,7 @@ _KEPT_SETTINGS = (
 
 def _asked_for(given: FitArguments) -> dict[str, object]:
     """Return the settings that differ from the usual ones."""
-    usual = {one.name: one.default for one in fields(FitArguments)}
+    usual = {field.name: field.default for field in fields(FitArguments)}
     asked = {name: getattr(given, name) for name in _KEPT_SETTINGS}
     return {name: value for name, value in asked.items() if value != usual[name]}
 
@@ -235,10 +237,10 @@ def resolve_sources(
     check_present(sources)
     if part is None and not any(map(is_dataset, sources)):
         raise typer.BadParameter("Missing option '--part': only a dataset knows what is pressed.")
-    found = find_sources(sources, part, position, sensor.size, holdout=holdout, seed=seed)
-    if found.held_out:
-        typer.echo(f"held out for evaluation: {', '.join(found.held_out)}")
-    return found
+    press_sources = find_sources(sources, part, position, sensor.size, holdout=holdout, seed=seed)
+    if press_sources.held_out:
+        typer.echo(f"held out for evaluation: {', '.join(press_sources.held_out)}")
+    return press_sources
 
 
 def make(work: "Callable[..., Fitted]", output: Path, overwrite: bool) -> None:

@@ -84,8 +84,8 @@ def extract(
     runner = None if grid.tiles is None else TileRunner(session, grid.tiles, grid.taps)
     for start in range(0, len(frames), size):
         batch = frames[start : start + size]
-        found = _run(session, taps, batch) if runner is None else _of_tiles(runner, batch[0])
-        for tap, maps in zip(taps, found, strict=True):
+        batch_maps = _run(session, taps, batch) if runner is None else _of_tiles(runner, batch[0])
+        for tap, maps in zip(taps, batch_maps, strict=True):
             if not np.isfinite(maps).all():
                 raise FitError(f"the trunk gives features that are not finite at {tap}; use another backbone")
             features[tap][start : start + size] = maps
@@ -97,22 +97,22 @@ def feature_warnings(nominal: Nominal, grid: Grid) -> list[str]:
     """Which taps can hide damage from any method: one that hardly differs between presses, or in one channel alone."""
     if nominal.presses == 1:
         return []
-    found = []
+    sentences = []
     for tap, maps in nominal.features.items():
         cells = touched_cells(nominal, grid, (maps.shape[2], maps.shape[3]), 0.0)
         power, variance = _spread(maps.reshape(*maps.shape[:2], -1), cells)
         total, widest = float(variance.sum()), int(variance.argmax())
         if total < DEVIATION_FLOOR**2 * power:
-            found.append(
+            sentences.append(
                 f"'{tap}' differs between nominal presses by less than {DEVIATION_FLOOR:.0%} of its size: fainter "
                 "differences are missed; give presses that differ, or use another trunk"
             )
         elif variance[widest] > MOST_OF_ONE_CHANNEL * total:
-            found.append(
+            sentences.append(
                 f"channel {widest} of '{tap}' has more than {MOST_OF_ONE_CHANNEL:.0%} of what differs between nominal "
                 f"presses: damage that the other {len(variance) - 1} channels show may be missed; use another trunk"
             )
-    return found
+    return sentences
 
 
 def _spread(maps: F32, cells: Mask) -> tuple[float, F64]:

@@ -121,7 +121,7 @@ class _Plan:
 def _plan_fit(presses: NominalPresses, config: FitConfig) -> _Plan:
     """Check the presses and divide them into folds. Errors: FitError."""
     promised = config.alpha if config.threshold is None else None
-    said = measuring.warnings(presses, (config.region.height, config.region.width), promised)
+    sentences = measuring.warnings(presses, (config.region.height, config.region.width), promised)
     colours = nominal_colours(presses.frames)
     parameters = config.detector.parameters(config.mode, **config.overrides)
     plan = _Plan(presses, config, parameters, None, MIN_PRESSES, colours, ())
@@ -131,8 +131,11 @@ def _plan_fit(presses: NominalPresses, config: FitConfig) -> _Plan:
         require_enough(len(presses), config.alpha, fewest, augmentation.why)
         rng = np.random.default_rng(config.seed)
         folds, few_pieces = divide_presses(presses.specimens, config.folds, rng, fewest, presses.film)
-    said += [*(few_pieces or measuring.rate_warnings(presses.specimens, promised)), *colour_warnings(colours)]
-    return replace(plan, folds=folds, fewest=fewest, warnings=said)
+    sentences += [
+        *(few_pieces or measuring.rate_warnings(presses.specimens, promised)),
+        *colour_warnings(colours),
+    ]
+    return replace(plan, folds=folds, fewest=fewest, warnings=sentences)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,18 +211,18 @@ def _take_features(plan: _Plan, progress: Progress) -> _Features:
     learner, take = reader.learner(config.detector, plan.parameters, config.seed), reader.take
     is_held_out = not (plan.folds is None or plan.why_unrendered or config.is_scattered)
     pose = choose_pose(config.how_registered, presses, learner, take, config.view, is_held_out, config.pose)
-    said: list[str] = []
+    sentences: list[str] = []
     if pose.learnt is None:  # a method that compares places needs the presses at one place
-        said = self_check.scatter_warnings(
+        sentences = self_check.scatter_warnings(
             presses, config.profile, config.detector, config.is_scattered, pose.why
         )
     posed = pose.apply(presses)
     augmentation = plan.augment(pose.learnt is not None)
     copies = Copies.of(posed, augmentation.each, config.profile.pixels_per_mm, config.seed, take)
     nominal = reader.nominal(posed, progress)
-    said += [*pose.find_warnings(presses.names), *plan.warnings, *feature_warnings(nominal, reader.grid)]
+    sentences += [*pose.find_warnings(presses.names), *plan.warnings, *feature_warnings(nominal, reader.grid)]
     learner = replace(learner, copies=copies)
-    return _Features(plan, take, learner, pose, posed, nominal, augmentation, said)
+    return _Features(plan, take, learner, pose, posed, nominal, augmentation, sentences)
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,7 +277,7 @@ def _learn_bank(features: _Features, watch: StageTimes) -> _Learnt:
     with watch.time("features"):
         features = features.prove_pose(covered.held_out, damage)
     bank, scores = covered.bank, covered.scores
-    head, choice, found, again = learner.head(bank), Choice(PLAIN, why_plain), None, {}
+    head, choice, damage_found, again = learner.head(bank), Choice(PLAIN, why_plain), None, {}
     remedies: Callable[[], Sequence[str]] = tuple
     part = None if features.pose.learnt is None else features.pose.learnt.part
     unit = 1.0 if scores is None else plan.find_threshold(scores).value
@@ -286,18 +289,18 @@ def _learn_bank(features: _Features, watch: StageTimes) -> _Learnt:
             if choice.other is not None:
                 head, bank = append(head, bank, choice.other.limit)
             unit = 1.0 if choice.other else plan.find_threshold(scores).value
-            found, again = evidence.count_found(choice), evidence.press_again_facts(choice, scores)
+            damage_found, again = evidence.count_found(choice), evidence.press_again_facts(choice, scores)
             roomy = learner, replace(nominal, room=covered.room)
             more = partial(self_check.find_remedies, evidence, choice, plan.presses, plan.config.profile)
             remedies = partial(more, partial(score_held_out, *roomy, edited=edited, shown=shown))
-            again |= self_check.damage_facts(found, more)
+            again |= self_check.damage_facts(damage_found, more)
             unit *= chosen.highest_limit
         relief = features.choose_relief(head, shown, unit)
     head, bank = relief.append_to(head, bank, unit)
     apart = self_check.apart_warnings(scores, plan.presses.names)
     unrendered = "" if plan.config.why_plain else why_plain
-    said = [
-        *self_check.unproven_warnings(features.pose.separated, found, remedies, unrendered),
+    sentences = [
+        *self_check.unproven_warnings(features.pose.separated, damage_found, remedies, unrendered),
         *features.warnings,
         *self_check.room_warnings(covered.room),
         *covered.bank.facts.get("warnings", ()),
@@ -305,7 +308,7 @@ def _learn_bank(features: _Features, watch: StageTimes) -> _Learnt:
     ]
     decided = {"limit": choice.facts(), MISSING: relief.facts(), **features.pose.facts}
     decided |= {**features.augmentation.facts, **again, **plan.presses.facts}
-    return _Learnt(features, part, bank, head, choice, scores, decided, apart, said)
+    return _Learnt(features, part, bank, head, choice, scores, decided, apart, sentences)
 
 
 def _measure(learnt: _Learnt, created: str, watch: StageTimes) -> Fitted:
@@ -320,8 +323,8 @@ def _measure(learnt: _Learnt, created: str, watch: StageTimes) -> Fitted:
     threshold = learnt.find_threshold(tolerance, scorer)
     black = np.zeros_like(plan.presses.frames[0])
     black_score, is_refused = scorer.score_in_pose(black).anomaly_score, refuses(plan.colours, black)
-    said = *learnt.warnings, *self_check.black_warnings(black_score, threshold, is_refused, learnt.apart)
-    proven = facts.provenance.model_copy(update={"warnings": said})
+    sentences = *learnt.warnings, *self_check.black_warnings(black_score, threshold, is_refused, learnt.apart)
+    proven = facts.provenance.model_copy(update={"warnings": sentences})
     measured = {"threshold": threshold, "tolerance": tolerance, "cost": cost, "provenance": proven}
     fitted = _pack(learnt, facts.model_copy(update=measured), golden)
     Scorer(fitted.bundle(trunks), threads, trunks).check_golden()

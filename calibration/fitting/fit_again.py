@@ -80,7 +80,7 @@ def read_again(
     the names of those. Errors: as `read_presses`, `find_sources`."""
     check_present(sources)
     manifest, asked = old.manifest, _settings(old)
-    found = find_sources(
+    press_sources = find_sources(
         sources,
         manifest.part,
         manifest.position,
@@ -89,16 +89,16 @@ def read_again(
         seed=asked.get("seed", 0),
     )
     pattern = asked.get("pattern")
-    if left_out := _left_out_before(found.paths, manifest.provenance.left_out, pattern):
+    if left_out := _left_out_before(press_sources.paths, manifest.provenance.left_out, pattern):
         typer.echo(f"left out as before: {', '.join(left_out)}")
     return read_presses(
-        [*found.paths, *more],
+        [*press_sources.paths, *more],
         old.profile,
         old.region,
         no_contact=no_contact,
         resize=asked.get("resize", False),
         pattern=pattern,
-        specimens=found.specimens,
+        specimens=press_sources.specimens,
         leave_out=[*left_out, *leave_out],
     )
 

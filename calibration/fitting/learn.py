@@ -126,20 +126,20 @@ class ConfirmedPresses:
     @property
     def good_on_new_gel(self) -> list[ConfirmedPress]:
         """Those of the new gel that people call good."""
-        return [one for one in self.good if one.press.press_id in self.on_new_gel]
+        return [judged for judged in self.good if judged.press.press_id in self.on_new_gel]
 
     def leave_out_far(self) -> None:
         """Leave out good ones that lie far beyond the threshold, or on a new gel beyond the others."""
-        here = [one.ratio for one in self.good_on_new_gel]
+        here = [judged.ratio for judged in self.good_on_new_gel]
         usual = max(1.0, float(np.median(here))) if here else 1.0
         kept = list[ConfirmedPress]()
-        for one in self.good:
-            farthest = FARTHEST * (usual if one.press.press_id in self.on_new_gel else 1)
-            if one.ratio <= farthest:
-                kept.append(one)
+        for judged in self.good:
+            farthest = FARTHEST * (usual if judged.press.press_id in self.on_new_gel else 1)
+            if judged.ratio <= farthest:
+                kept.append(judged)
                 continue
             self.left_out.append(
-                f"{one.describe()} lies beyond {farthest:.3g} times the threshold; if such parts are good, give a "
+                f"{judged.describe()} lies beyond {farthest:.3g} times the threshold; if such parts are good, give a "
                 "picture of it among the nominal presses"
             )
         self.good = kept
@@ -155,7 +155,7 @@ class ConfirmedPresses:
                 f"the bundle is not proven on gel {self.new_gel.gel_id}, and people call {len(here)} of its presses "
                 f"good, at least {LEAST_ON_NEW_GEL} are needed; answer the station's questions about it"
             )
-        usual = float(np.median([one.ratio for one in here]))
+        usual = float(np.median([press.ratio for press in here]))
         if usual > MOST_CHANGE:
             raise FitError(
                 f"good presses on gel {self.new_gel.gel_id} score {usual:.2f} times the threshold in the median, "
@@ -193,31 +193,31 @@ def read_confirmed(
 ) -> ConfirmedPresses:
     """Read them with their frames. bundle_id: of the bundle that learns. score_anyway: scores presses of a new gel that
     it refused. Errors: StoreError."""
-    found, archive = ConfirmedPresses(), ArchiveFolder(database.with_suffix(".archive"))
+    presses, archive = ConfirmedPresses(), ArchiveFolder(database.with_suffix(".archive"))
     with open_read_only(database, "reading what people said") as connection:
-        said = read_verdicts(connection)
+        verdicts = read_verdicts(connection)
         rows = connection.execute(
             "SELECT press_id, evidence, second_of, piece_id, serial, gel_id FROM presses "
             "WHERE part = ? AND position = ? ORDER BY number",
             part,
         ).fetchall()
-        found.new_gel = unproven_gel(connection, bundle_id)
-    if found.new_gel is not None:
-        found.on_new_gel = {row[0] for row in rows if row[4:] == found.new_gel[:2]}
+        presses.new_gel = unproven_gel(connection, bundle_id)
+    if presses.new_gel is not None:
+        presses.on_new_gel = {row[0] for row in rows if row[4:] == presses.new_gel[:2]}
     pieces = dict[str, str]()
     for press_id, _, first, piece_id, *_ in rows:
         pieces[press_id] = piece_id or pieces.get(first, first or press_id)
     for press_id, evidence, *_ in reversed(rows):
-        verdict = settle(said.get(press_id, ()))
-        is_doubted = any(word.saying == "damaged" for word in said.get(press_id, ()))
+        verdict = settle(verdicts.get(press_id, ()))
+        is_doubted = any(word.saying == "damaged" for word in verdicts.get(press_id, ()))
         if verdict is not None:
-            found.words[verdict.saying] += 1
+            presses.words[verdict.saying] += 1
         if is_doubted:
-            found.doubted.add(press_id)
+            presses.doubted.add(press_id)
         if not is_doubted and (verdict is None or verdict.saying not in ("good", "damaged")):
             with suppress(ArchiveError):  # the archive keeps the newest ones
-                if evidence is not None and (verdict is not None or len(found.others) < MOST_OTHERS):
-                    found.others.append(archive.press(press_id, evidence))
+                if evidence is not None and (verdict is not None or len(presses.others) < MOST_OTHERS):
+                    presses.others.append(archive.press(press_id, evidence))
             continue
         assert verdict is not None
         try:
@@ -226,20 +226,20 @@ def read_confirmed(
             unjudged = None if press.masked is None else archive.read_masked(press)
         except ArchiveError as error:
             unknown = "; whether the new bundle finds this damage is not known" if is_doubted else ""
-            found.left_out.append(f"{error}{unknown}")
+            presses.left_out.append(f"{error}{unknown}")
             continue
-        is_here = press_id in found.on_new_gel and verdict.saying == "good"
+        is_here = press_id in presses.on_new_gel and verdict.saying == "good"
         score = score_anyway(press, frame) if is_here else None
-        found.add(ConfirmedPress(press, verdict, frame, pieces[press_id], unjudged, score))
-    found.leave_out_far()
-    return found
+        presses.add(ConfirmedPress(press, verdict, frame, pieces[press_id], unjudged, score))
+    presses.leave_out_far()
+    return presses
 
 
 def write_pictures(presses: Sequence[ConfirmedPress], folder: Path) -> None:
     """Write them as pictures with the names of their presses."""
     folder.mkdir()
-    for one in presses:
-        write_picture(one.press, one.frame, folder)
+    for confirmed_press in presses:
+        write_picture(confirmed_press.press, confirmed_press.frame, folder)
 
 
 def join_pieces(presses: NominalPresses, confirmed: Sequence[ConfirmedPress]) -> NominalPresses:
@@ -247,8 +247,8 @@ def join_pieces(presses: NominalPresses, confirmed: Sequence[ConfirmedPress]) ->
     `write_pictures` has written, and others."""
     names = [Path(name).stem for name in presses.names]
     specimens = list(presses.specimens)
-    for piece in {one.piece for one in confirmed}:
-        ids = {one.press.press_id for one in confirmed if one.piece == piece}
+    for piece in {press.piece for press in confirmed}:
+        ids = {press.press.press_id for press in confirmed if press.piece == piece}
         rows = [k for k, name in enumerate(names) if name in ids]
         known = [specimens[k] for k in rows if specimens[k] is not None]
         for k in rows if len(rows) > 1 else ():
@@ -261,9 +261,9 @@ def leave_out_places(presses: NominalPresses, confirmed: Sequence[ConfirmedPress
     presses: as `join_pieces` takes them."""
     nothing = np.zeros(presses.frames.shape[1:3], np.bool_)
     places = {
-        one.press.press_id: one.unjudged
-        for one in confirmed
-        if one.unjudged is not None and one.unjudged.shape == nothing.shape
+        press.press.press_id: press.unjudged
+        for press in confirmed
+        if press.unjudged is not None and press.unjudged.shape == nothing.shape
     }
     masks = [places.get(Path(name).stem, nothing) for name in presses.names]
     return replace(presses, unjudged=np.stack(masks)) if places else presses
@@ -294,7 +294,7 @@ class Comparison:
 
     def count(self, presses: Sequence[ConfirmedPress], judged: Mapping[str, Press]) -> int:
         """Count those that do not pass."""
-        return sum(judged[one.press.press_id].word != "pass" for one in presses)
+        return sum(judged[press.press.press_id].word != "pass" for press in presses)
 
     def describe(self) -> str:
         """Give both in one sentence."""
@@ -313,11 +313,13 @@ class Comparison:
         both.sort(key=lambda one: one[2] != "pass")
         changed = [f"{key} {before} to {after}" for key, before, after in both if before != after]
         named = "; ".join(changed[:MOST_NAMED]) + (" and others" if len(changed) > MOST_NAMED else "")
-        said = f"{len(changed)} of {len(both)} other archived presses change" + (
+        sentence = f"{len(changed)} of {len(both)} other archived presses change" + (
             f": {named}" if changed else ""
         )
         passing = [key for key in sorted(self.presses.doubted & known) if self.after[key].word == "pass"]
-        return said + (f"; it passes {', '.join(passing)}, which somebody called damaged" if passing else "")
+        return sentence + (
+            f"; it passes {', '.join(passing)}, which somebody called damaged" if passing else ""
+        )
 
     @property
     def lost(self) -> list[ConfirmedPress]:
@@ -358,7 +360,7 @@ class Comparison:
                 f"the new bundle passes what was found before, and is not written: {'; '.join(lost)}. Look at these "
                 "presses: what was called good may be damaged too, or the other way round"
             )
-        if alarms := [one.describe() for one in self.new_alarms[:MOST_NAMED]]:
+        if alarms := [alarm.describe() for alarm in self.new_alarms[:MOST_NAMED]]:
             raise FitError(
                 "the new bundle fails more of the presses that people call good, and is not written: "
                 f"{self.describe()}; it alone fails {'; '.join(alarms)}"
@@ -371,8 +373,10 @@ def judge_presses(
     """Judge them again, by their ids, as a replay does. Errors: ArchiveError, BundleError."""
     archive, judged = ArchiveFolder(database.with_suffix(".archive")), dict[str, Press]()
     inspector = Inspector(Scorer(bundle, threads), SystemClock())
-    for one in (*presses.good, *presses.damaged):
-        judged[one.press.press_id] = judge_as_then(one.press, archive, inspector).drop_pictures()
+    for confirmed_press in (*presses.good, *presses.damaged):
+        judged[confirmed_press.press.press_id] = judge_as_then(
+            confirmed_press.press, archive, inspector
+        ).drop_pictures()
     for press in presses.others:
         with suppress(ArchiveError):  # a running station removes the oldest ones meanwhile
             judged[press.press_id] = judge_as_then(press, archive, inspector).drop_pictures()

@@ -173,7 +173,7 @@ def _teach_lost(
 def _read_pictures(presses: Sequence[ConfirmedPress], bundle: Bundle) -> NominalPresses:
     """Read archived presses as pictures of the region, with their ids for names."""
     with tempfile.TemporaryDirectory() as folder:
-        files = [write_picture(one.press, one.frame, Path(folder)) for one in presses]
+        files = [write_picture(press.press, press.frame, Path(folder)) for press in presses]
         return _with_stems(read_presses(files, bundle.profile, bundle.region))
 
 
@@ -192,18 +192,20 @@ def _name_alike(old: Bundle, comparison: Comparison, good: NominalPresses, threa
 def _ask_again(error: FitError, comparison: Comparison, database: Path) -> FitError:
     """Have the station ask once more about the presses that stand against the new bundle; return the error that says
     so."""
-    said = _ask_about([one.press.press_id for one in (*comparison.lost, *comparison.new_alarms)], database)
-    return FitError(f"{error}; {said}") if said else error
+    sentence = _ask_about(
+        [alarm.press.press_id for alarm in (*comparison.lost, *comparison.new_alarms)], database
+    )
+    return FitError(f"{error}; {sentence}") if sentence else error
 
 
 def _leave_out_apart(press_ids: Sequence[str], database: Path) -> None:
     """Say that good presses are not learnt, and have the station ask about each once more."""
-    said = (
+    warning = (
         f"warning: left out: {', '.join(press_ids)}: called good, but far from all others, and with it the new bundle "
         "finds less of the damage that a fit renders; if such parts are good, give a picture of one among the nominal "
         "presses"
     )
-    typer.echo("; ".join(filter(None, [said, _ask_about(press_ids, database)])), err=True)
+    typer.echo("; ".join(filter(None, [warning, _ask_about(press_ids, database)])), err=True)
 
 
 def _ask_about(press_ids: Sequence[str], database: Path) -> str:

@@ -74,24 +74,24 @@ def unproven_warnings(
     damage the bundle finds. Each is None where it was not measured. find_remedies: called where too few are found.
     unrendered: why a fit that looks for damage had none.
     """
-    said = [f"nothing shows what damage the bundle finds: {unrendered}"] if unrendered else []
+    sentences = [f"nothing shows what damage the bundle finds: {unrendered}"] if unrendered else []
     if separated is not None and separated <= AT_CHANCE:
-        said.append(
+        sentences.append(
             f"of damage rendered into its own presses {separated:.2f} is separated from sound presses, as by chance "
             "(0.5): the bundle will pass damage"
         )
     if found is not None and found.found < LEAST_FOUND * found.count:
         of = f" ({found.why})" if found.why else ""
-        said.append(
+        sentences.append(
             f"the bundle finds {found.found} of {found.count} small pieces of damage rendered into its own "
             f"presses{of}: it will pass most damage that small"
         )
-    if not said:
+    if not sentences:
         return []
     todo = ["press damaged parts before you trust it"]
     if not unrendered:
         todo = [*(find_remedies() or ["nothing that was tried on its own presses finds more"]), *todo]
-    return [f"{UNPROVEN}{'; '.join([one, *todo])}" for one in said]
+    return [f"{UNPROVEN}{'; '.join([sentence, *todo])}" for sentence in sentences]
 
 
 def damage_facts(found: DamageFound | None, find_remedies: Callable[[], Sequence[str]]) -> dict[str, str]:
@@ -115,7 +115,7 @@ def find_remedies(
     """
     if choice.kind not in choice.found:
         return []
-    scores, said = choice.other.scores if choice.other else evidence.scores, []
+    scores, remedies = choice.other.scores if choice.other else evidence.scores, []
     for words, changed, instead in _try_remedies(
         evidence, int(scores.argmax()), presses, profile, score_apart
     ):
@@ -124,8 +124,8 @@ def find_remedies(
         before, after = less.found.get(less.kind, 0.0), more.found.get(more.kind, 0.0)
         if after >= before + WORTH:
             pairs = (after, len(changed.damage)), (before, len(compared.damage))
-            said.append(words.format(*(f"{round(share * count)} of {count}" for share, count in pairs)))
-    return said
+            remedies.append(words.format(*(f"{round(share * count)} of {count}" for share, count in pairs)))
+    return remedies
 
 
 def _try_remedies(
@@ -219,11 +219,11 @@ def black_warnings(
     """
     if score > threshold.value:
         return []
-    found = f"a black frame scores {score:.4g}, below the threshold of {threshold.value:.4g}"
+    sentence = f"a black frame scores {score:.4g}, below the threshold of {threshold.value:.4g}"
     if is_refused:
-        return [f"{found}: it is refused for its colours alone"]
+        return [f"{sentence}: it is refused for its colours alone"]
     why = apart or ("look for nominal pictures that are no presses, press more, or fit another method",)
-    raise FitError(f"{found}, and would pass: {'; '.join(why)}")
+    raise FitError(f"{sentence}, and would pass: {'; '.join(why)}")
 
 
 def scatter_mm(presses: NominalPresses, profile: SensorProfile) -> float | None:
@@ -254,14 +254,14 @@ def scatter_warnings(
     if not detector.compares_places or scatter is None or scatter <= SCATTERED_MM:
         return []
     methods = [registry.detector(name) for name in registry.names("detectors")]
-    other = [one.name for one in methods if not (one.compares_places or one.is_baseline)]
-    found = (
+    other = [method.name for method in methods if not (method.compares_places or method.is_baseline)]
+    sentence = (
         f"half of the contacts lie more than {scatter:.1f} mm from their common middle: {detector.name} compares place "
         f"with place and will pass damage; hold the part at one place, or fit {' or '.join(other)}"
     )
     if is_guessed:
-        return [f"{UNPROVEN}as far as a free gel in doubt shows it, {found}"]
+        return [f"{UNPROVEN}as far as a free gel in doubt shows it, {sentence}"]
     if not is_scattered:
         registered = f" ({why_unregistered}; see --set register)" if why_unregistered else ""
-        raise FitError(f"{found}; --set scattered=true fits {detector.name} all the same{registered}")
-    return [found]
+        raise FitError(f"{sentence}; --set scattered=true fits {detector.name} all the same{registered}")
+    return [sentence]

@@ -123,9 +123,9 @@ def hold_out(
         )
     scores, maps = np.zeros(len(nominal)), np.zeros(nominal.frames.shape[:3], np.float32)
     fold = _share_out(nominal.specimens, len(nominal))
-    for one in range(_FOLDS):
-        held = np.flatnonzero(fold == one).tolist()
-        rest = nominal.choose(np.flatnonzero(fold != one).tolist())
+    for fold_number in range(_FOLDS):
+        held = np.flatnonzero(fold == fold_number).tolist()
+        rest = nominal.choose(np.flatnonzero(fold != fold_number).tolist())
         without = fit_files(rest, config, created=created).bundle()
         scores[held], maps[held] = _see(Scorer(without, config.threads), nominal.choose(held), old)
     kept = np.flatnonzero(scores < np.inf).tolist()
@@ -219,10 +219,10 @@ def lower_place(lesson: Lesson) -> Remedy | str:
     if limit is None:
         return "place: every sound press would fail"
     x_mm, y_mm = old.profile.mm_per_pixel
-    found = [(k, *_find_place(lesson, k, usual)) for k in lesson.missed]
+    places = [(k, *_find_place(lesson, k, usual)) for k in lesson.missed]
     words = (
         f"divided by {_ABOVE / lesson.maps[k, y, x]:.2g} at ({x * x_mm:.1f}, {y * y_mm:.1f}) mm"
-        for k, y, x in found
+        for k, y, x in places
     )
     what = f"the limit {', '.join(words)}"
     try:
@@ -266,13 +266,13 @@ def why_not(lesson: Lesson) -> list[str]:
 
 def name_alike(old: Bundle, damaged: NominalPresses, good: NominalPresses, threads: int) -> list[str]:
     """Say of each damaged press which good press shows most where it stands out most, by the old bundle."""
-    scorer, said = Scorer(old, threads), list[str]()
+    scorer, sentences = Scorer(old, threads), list[str]()
     near = _near(old, _see(scorer, good, old)[1])
     for name, damage in zip(damaged.names, _see(scorer, damaged, old)[1], strict=True):
         y, x = np.unravel_index(int(damage.argmax()), damage.shape)
         if damage[y, x] > 0:
-            said.append(_name_nearest(old, name, damage, (int(y), int(x)), good.names, near))
-    return said
+            sentences.append(_name_nearest(old, name, damage, (int(y), int(x)), good.names, near))
+    return sentences
 
 
 def _name_nearest(
@@ -324,11 +324,15 @@ def _see(scorer: Scorer, presses: NominalPresses, old: Bundle) -> tuple[F64, F32
             if presses.unjudged is not None and presses.unjudged[k].any():
                 shown = np.where(presses.unjudged[k], scored.score_map.min(), scored.score_map)
                 scored = replace(scored, score_map=shown, anomaly_score=float(shown.max()))
-            found = None if registrar is None else registrar.register(old.prepare(rgb))
-            if found is not None and found.refusal is not None:
-                raise PoseNotFound(found.refusal)
+            registration = None if registrar is None else registrar.register(old.prepare(rgb))
+            if registration is not None and registration.refusal is not None:
+                raise PoseNotFound(registration.refusal)
             lying = np.asarray(scored.score_map / np.float32(limit), np.float32)
-            maps.append(lying if found is None else np.where(found.seen, warp(lying, found.pose), 0))
+            maps.append(
+                lying
+                if registration is None
+                else np.where(registration.seen, warp(lying, registration.pose), 0)
+            )
             scores.append(scored.anomaly_score / limit)
         except (PoseNotFound, NotScorable):
             scores.append(np.inf)
@@ -362,10 +366,12 @@ def _rewrite(lesson: Lesson, what: str, limit: ThresholdEntry, weights: F32 | No
 
     def pack(golden: Sequence[GoldenFrame], tolerance: ToleranceEntry) -> Fitted:
         more = {} if golden else {"with_trunk": True}
-        said = facts_of(manifest).model_copy(update=changes | {"tolerance": tolerance})
-        return Fitted(*rewrite_files(old, said, golden, graphs=graphs, bank=Bank(arrays, packing), **more))
+        new_facts = facts_of(manifest).model_copy(update=changes | {"tolerance": tolerance})
+        return Fitted(
+            *rewrite_files(old, new_facts, golden, graphs=graphs, bank=Bank(arrays, packing), **more)
+        )
 
     scorer = Scorer(pack((), manifest.tolerance).bundle(), lesson.config.threads)
-    golden = [score_again(one, scorer) for one in old.golden]
+    golden = [score_again(press, scorer) for press in old.golden]
     tolerance = measure_tolerance(scorer, golden, lesson.config.threads) if golden else manifest.tolerance
     return pack(golden, tolerance)

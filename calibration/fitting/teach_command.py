@@ -187,9 +187,9 @@ def _try_remedies(given: TeachArguments, lesson: Lesson) -> dict[str, Remedy]:
         if name != lesson.config.detector.name
     }
     made = [make() for name, make in wanted.items() if given.take in (None, name)]
-    for one in made:
-        if isinstance(one, str):
-            typer.echo(one)
+    for remedy in made:
+        if isinstance(remedy, str):
+            typer.echo(remedy)
     return {one.name: one for one in made if not isinstance(one, str)}
 
 

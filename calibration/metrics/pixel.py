@@ -113,9 +113,9 @@ def pool_measures(maps: Maps, masks: Masks, limits: Sequence[float]) -> PooledMe
     sound = np.sort(np.concatenate([m[~k] for m, k in zip(maps, masks, strict=True)] or [np.empty(0)]))
     defects, regions = _sort_defects(maps, masks)
     defects = _Defects(defects.thresholds, defects.step, np.zeros_like(defects.image), defects.overlap)
-    found = _integrate(defects, regions.sum(keepdims=True), [sound], np.ones((1, 1)), limits)
+    integrals = _integrate(defects, regions.sum(keepdims=True), [sound], np.ones((1, 1)), limits)
     auroc, precision, *areas = (
-        float(value[0]) if np.isfinite(value[0]) else None for value in (*found[:2], *found[2])
+        float(value[0]) if np.isfinite(value[0]) else None for value in (*integrals[:2], *integrals[2])
     )
     return PooledMeasures(auroc, precision, tuple(areas))
 

@@ -195,10 +195,10 @@ def recall_at(
     total_sound, bad = counted.sum(axis=1), weights[:, is_defective]
     allowed = above <= rate * total_sound[:, None] + 1e-9
     last = allowed.shape[1] - 1 - np.argmax(allowed[:, ::-1], axis=1)
-    found = ((scores[is_defective][None] > falling[last][:, None]) * bad).sum(axis=1)
+    hits = ((scores[is_defective][None] > falling[last][:, None]) * bad).sum(axis=1)
     total_bad = bad.sum(axis=1)
     is_defined = (total_sound > 0) & (total_bad > 0)
-    return np.where(is_defined, found / np.where(is_defined, total_bad, 1.0), np.nan)
+    return np.where(is_defined, hits / np.where(is_defined, total_bad, 1.0), np.nan)
 
 
 def _check(scores: NDArray[np.floating[Any]], is_defective: Mask) -> None:

@@ -101,10 +101,10 @@ def _say_heights(made: CalibratedHeights, ball_radius_mm: float) -> None:
     for name, reason in made.left_out.items():
         typer.echo(f"left out: {name}: {reason}")
     typer.echo("ball, held out: at x, y mm; radius found; depth, found; free gel within, mm")
-    for one in made.held:
+    for ball in made.held:
         typer.echo(
-            f"  {one.name:32} {one.x_mm:+5.1f} {one.y_mm:+5.1f}; {one.radius_mm:5.2f}; {one.depth_mm:.3f} "
-            f"{one.height_mm:.3f}; {one.outside_mm:.3f}"
+            f"  {ball.name:32} {ball.x_mm:+5.1f} {ball.y_mm:+5.1f}; {ball.radius_mm:5.2f}; {ball.depth_mm:.3f} "
+            f"{ball.height_mm:.3f}; {ball.outside_mm:.3f}"
         )
     calibration = made.calibration
     typer.echo(
@@ -148,8 +148,8 @@ def _say(made: Calibrated) -> None:
     for name, reason in made.left_out.items():
         typer.echo(f"left out: {name}: {reason}")
     typer.echo("press, held out: levels rms inside contact, of a change of; outside")
-    for one in made.judged:
-        typer.echo(f"  {one.name:32} {one.inside:5.1f} of {one.signal:5.1f}; {one.outside:5.1f}")
+    for press in made.judged:
+        typer.echo(f"  {press.name:32} {press.inside:5.1f} of {press.signal:5.1f}; {press.outside:5.1f}")
     typer.echo(
         f"{len(made.judged)} presses held out, {fitted.presses} of them by folds: {fitted.inside_levels:.1f} levels "
         f"rms inside contact, {fitted.outside_levels:.1f} outside"

@@ -197,7 +197,7 @@ def fit_without_each(fit: SensorFit, presses: Sequence[BallPress]) -> list[Senso
     folds = min(_FOLDS, len(presses))
     fits: list[SensorFit] = [fit] * len(presses)
     for fold in range(folds):
-        others = [one for number, one in enumerate(equations) if number % folds != fold]
+        others = [equation for number, equation in enumerate(equations) if number % folds != fold]
         without = replace(fit, response=_response(others))
         for number in range(fold, len(presses), folds):
             presses[number].ball = presses[number].start

@@ -44,14 +44,14 @@ def fit_noise(
     compared where neither touches, so dirt and scratches cancel.
     level: of the free gel in each colour, its mean.
     """
-    found: list[list[float]] = []
-    for (one, other), (free, free_too) in zip(pairwise(changes), pairwise(untouched), strict=True):
-        fine = [plane - cv2.GaussianBlur(plane, (0, 0), _NOISE_SMOOTH_PX) for plane in one - other]
+    spreads: list[list[float]] = []
+    for (change, other), (free, free_too) in zip(pairwise(changes), pairwise(untouched), strict=True):
+        fine = [plane - cv2.GaussianBlur(plane, (0, 0), _NOISE_SMOOTH_PX) for plane in change - other]
         middle = [float(np.median(np.abs(plane[free & free_too]))) for plane in fine]
-        found.append([_SD_OF_MAD * each / 2**0.5 for each in middle])
+        spreads.append([_SD_OF_MAD * each / 2**0.5 for each in middle])
     # Half of the variance grows with the light (`camera.noise`).
     growth = np.sqrt(0.5 * np.array(level) / NOISE_LEVEL + 0.5)
-    red, green, blue = (np.median(np.array(found), axis=0) / growth).tolist()
+    red, green, blue = (np.median(np.array(spreads), axis=0) / growth).tolist()
     return (red, green, blue)
 
 
@@ -63,8 +63,8 @@ def marker_dots(planes: F32) -> Mask:
 
 def has_markers(planes: F32) -> bool:
     """Say whether the free gel carries the dots of a tracking gel."""
-    _, _, found, _ = cv2.connectedComponentsWithStats(_dark(planes))
-    area = found[1:, cv2.CC_STAT_AREA]
+    _, _, stats, _ = cv2.connectedComponentsWithStats(_dark(planes))
+    area = stats[1:, cv2.CC_STAT_AREA]
     return int(((area >= _DOT_AREA_PX[0]) & (area <= _DOT_AREA_PX[1])).sum()) >= _FEWEST_DOTS
 
 

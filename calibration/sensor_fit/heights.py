@@ -118,7 +118,7 @@ def calibrate_heights(
     ]
     made = _with_errors(_fit(draft, fit, usable, free_rgb), held)
     factor = scale / LR.mm_per_px[0]
-    return CalibratedHeights(_scale(made, factor), tuple(_in_mm(one, factor) for one in held), left_out)
+    return CalibratedHeights(_scale(made, factor), tuple(_in_mm(press, factor) for press in held), left_out)
 
 
 def measure_presses(
@@ -129,8 +129,8 @@ def measure_presses(
     usable, _ = ball_presses(presses, free, dots, ball_radius_mm)
     fit = _place_balls(usable, free, ball_radius_mm, None)
     free_rgb = np.rint(free.transpose(1, 2, 0)).astype(np.uint8)
-    found = [_measure(made, fit, press, free_rgb) for press in usable]
-    return [one for one in found if one is not None]
+    balls = [_measure(made, fit, press, free_rgb) for press in usable]
+    return [ball for ball in balls if ball is not None]
 
 
 def _place_balls(
@@ -147,9 +147,9 @@ def _hold_out(
     draft: HeightCalibration, fit: SensorFit, presses: Sequence[BallPress], free_rgb: U8, fold: int
 ) -> list[HeldBall]:
     """Measure the balls of one fold by a response that was fitted to the others."""
-    made = _fit(draft, fit, [one for k, one in enumerate(presses) if k % _FOLDS != fold], free_rgb)
-    held = [_measure(made, fit, one, free_rgb) for one in presses[fold::_FOLDS]]
-    return [one for one in held if one is not None]
+    made = _fit(draft, fit, [press for k, press in enumerate(presses) if k % _FOLDS != fold], free_rgb)
+    held = [_measure(made, fit, press, free_rgb) for press in presses[fold::_FOLDS]]
+    return [press for press in held if press is not None]
 
 
 def _fit(
@@ -254,10 +254,10 @@ def _measure_ball(heights: HeightMap, x_mm: float, y_mm: float, contact_mm: floa
 
 def _with_errors(made: HeightCalibration, held: Sequence[HeldBall]) -> HeightCalibration:
     """The calibration with errors that cover the places in balls that were held out."""
-    floor = _quantile([one.outside_mm for one in held])
-    true, error = np.hstack([one.inside_mm for one in held])
+    floor = _quantile([press.outside_mm for press in held])
+    true, error = np.hstack([press.inside_mm for press in held])
     share = _quantile((np.maximum(np.abs(error) - floor, 0) / np.maximum(true, floor)).tolist(), _COVERED)
-    noise = float(np.median([one.noise_mm for one in held]))
+    noise = float(np.median([press.noise_mm for press in held]))
     return replace(made, floor_u95_mm=floor, height_u95=share, noise_mm=noise)
 
 

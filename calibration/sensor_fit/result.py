@@ -58,9 +58,9 @@ def judge(
 
 def rms_of(judged: Sequence[Judged]) -> tuple[float, float]:
     """Inside and outside over all presses, each press with its number of pixels inside."""
-    weights = np.array([one.pixels for one in judged], dtype=np.float64)
-    inside = np.array([one.inside for one in judged])
-    outside = np.array([one.outside for one in judged])
+    weights = np.array([press.pixels for press in judged], dtype=np.float64)
+    inside = np.array([press.inside for press in judged])
+    outside = np.array([press.outside for press in judged])
     return float(np.sqrt((weights * inside**2).sum() / weights.sum())), float(np.sqrt((outside**2).mean()))
 
 
@@ -106,11 +106,11 @@ def calibration_sheet(judged: Sequence[Judged]) -> U8:
     ranked = sorted(judged, key=lambda one: one.inside)
     shown = np.linspace(0, len(ranked) - 1, min(_SHOWN, len(ranked))).round().astype(int)
     rows = []
-    for one in (ranked[k] for k in shown):
+    for press in (ranked[k] for k in shown):
         titled = {
-            f"{one.name}: real": one.real,
-            f"simulated, {one.inside:.1f} levels rms inside contact": one.simulated,
-            f"difference x{_MAGNIFIED}": 128 + _MAGNIFIED * (one.simulated - one.real),
+            f"{press.name}: real": press.real,
+            f"simulated, {press.inside:.1f} levels rms inside contact": press.simulated,
+            f"difference x{_MAGNIFIED}": 128 + _MAGNIFIED * (press.simulated - press.real),
         }
         rows.append(np.hstack([title_picture(quantise(planes), title) for title, planes in titled.items()]))
     return np.vstack(rows)

@@ -99,8 +99,8 @@ def latest(folder: Path) -> Path | None:
     """The newest complete checkpoint in a run's folder, or the folder itself when it is one."""
     if (folder / _STATE).is_file():
         return folder
-    found = sorted(p for p in folder.glob("step_*") if (p / _STATE).is_file())
-    return found[-1] if found else None
+    checkpoints = sorted(p for p in folder.glob("step_*") if (p / _STATE).is_file())
+    return checkpoints[-1] if checkpoints else None
 
 
 def load(folder: Path, recipe: TrainConfig | None = None) -> Checkpoint:
@@ -113,19 +113,19 @@ def load(folder: Path, recipe: TrainConfig | None = None) -> Checkpoint:
         raise ConfigError(f"no checkpoint in '{folder}'; start without --resume")
     try:
         state = json.loads((at / _STATE).read_text())
-        found, hashes = TrainConfig.from_json(json.dumps(state["recipe"])), state["sha256"]
+        stored_recipe, hashes = TrainConfig.from_json(json.dumps(state["recipe"])), state["sha256"]
         parts = {name: _read(at / f"{name}.pt", hashes[name]) for name in _PARTS}
     except (OSError, KeyError, TypeError, json.JSONDecodeError) as error:
         raise ConfigError(
             f"the checkpoint '{at}' is damaged ({error}); resume from another or start again"
         ) from error
-    if recipe is not None and found != recipe:
-        changes = "; ".join(recipe.differences(found))
+    if recipe is not None and stored_recipe != recipe:
+        changes = "; ".join(recipe.differences(stored_recipe))
         raise ConfigError(
             f"the checkpoint '{at}' was made with other settings ({changes}); "
             "resume with the same ones or start a new run in another folder"
         )
-    return Checkpoint(found, int(state["step"]), **parts, before=tuple(state.get("before", ())))
+    return Checkpoint(stored_recipe, int(state["step"]), **parts, before=tuple(state.get("before", ())))
 
 
 def weights_sha256(folder: Path) -> str:

@@ -109,8 +109,8 @@ def feature_errors(graph: bytes, plain: bytes) -> dict[str, float]:
     sessions = [open_session(g, 0, "trunk") for g in (graph, plain)]
     squares = {tap: np.zeros(2) for tap in STAGES}
     for frames in calibration_frames("compare", 2):
-        found, expected = (s.run(list(STAGES), {"frames": frames}) for s in sessions)
-        for tap, a, b in zip(STAGES, found, expected, strict=True):
+        features, expected = (s.run(list(STAGES), {"frames": frames}) for s in sessions)
+        for tap, a, b in zip(STAGES, features, expected, strict=True):
             squares[tap] += [
                 float(((a - b).astype(np.float64) ** 2).sum()),
                 float((b.astype(np.float64) ** 2).sum()),

@@ -104,13 +104,13 @@ class _Learner:
         self.model.train()
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate(recipe, self.step)
-        found = losses(self._maps(batch), self.heads, batch, recipe)
+        step_losses = losses(self._maps(batch), self.heads, batch, recipe)
         self.optimiser.zero_grad(set_to_none=True)
-        found.total(recipe).backward()
+        step_losses.total(recipe).backward()
         nn.utils.clip_grad_norm_(self.model.parameters(), 5.0)
         self.optimiser.step()
         self.step += 1
-        return found
+        return step_losses
 
     def _maps(self, batch: Pairs) -> list[Tensor]:
         frames = batch.frames.contiguous(memory_format=torch.channels_last)
@@ -121,7 +121,7 @@ class _Learner:
     def validate(self) -> dict[str, float]:
         """Per stage, the share of changed cells above 99 % of unchanged ones, on pairs that training never draws."""
         self.model.eval()
-        found: dict[str, list[tuple[Tensor, Tensor, Tensor]]] = {stage: [] for stage in STAGES}
+        distances: dict[str, list[tuple[Tensor, Tensor, Tensor]]] = {stage: [] for stage in STAGES}
         with torch.no_grad():
             for number in range(_VALIDATION_BATCHES):
                 pairs, side = min(_VALIDATION_PAIRS, self.recipe.pairs), self.recipe.side
@@ -132,8 +132,10 @@ class _Learner:
                     cells = find_changed_cells(batch.change_mm, stride, self.recipe)
                     reach = window_cells(self.recipe.window_mm, stride, batch.spacing)
                     distance = cell_distances(features, reach)
-                    found[stage].append((distance.flatten(), cells[0].flatten(), cells[1].flatten()))
-        joined = {s: [torch.cat(column) for column in zip(*rows, strict=True)] for s, rows in found.items()}
+                    distances[stage].append((distance.flatten(), cells[0].flatten(), cells[1].flatten()))
+        joined = {
+            s: [torch.cat(column) for column in zip(*rows, strict=True)] for s, rows in distances.items()
+        }
         return {f"recall_fpr01_{stage}": separation(*columns) for stage, columns in joined.items()}
 
     def checkpoint(self) -> Checkpoint:
@@ -199,12 +201,12 @@ def train(
     )
     with _stop_asked() as is_stopped, closing(batches):
         for batch in batches:
-            found = learner.learn(batch.to(device))
+            step_losses = learner.learn(batch.to(device))
             advance(learner.step)
             is_late = is_stopped() or (run.minutes > 0 and time.monotonic() - started > 60 * run.minutes)
             is_last = learner.step == recipe.steps or is_late
             if learner.step % run.log_every == 0 or is_last:
-                entry = _entry(learner, found, (learner.step - since_step) / (time.monotonic() - since))
+                entry = _entry(learner, step_losses, (learner.step - since_step) / (time.monotonic() - since))
                 if learner.step % run.validate_every == 0 or is_last:
                     entry |= learner.validate()
                 log.append(entry)

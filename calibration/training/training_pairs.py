@@ -70,7 +70,7 @@ def draw_pairs(
     field = _draw_field(streams(purpose, step), side, high_resolution)
     with reproducible_opencv():
         drawn = [_draw_pair(streams, (purpose, step, k), field) for k in range(pairs)]
-    frames = np.stack([one.transpose(2, 0, 1) for press in (0, 1) for one in (d[0][press] for d in drawn)])
+    frames = np.stack([pair.transpose(2, 0, 1) for press in (0, 1) for pair in (d[0][press] for d in drawn)])
     surfaces = np.stack([d[1][press] for press in (0, 1) for d in drawn])
     changes = np.stack([d[2] for d in drawn])
     return Pairs(

@@ -41,9 +41,9 @@ def flatten(verb: Callable[[Any], None], without: Collection[str] = ()) -> Calla
     """
     ((_, model),) = ((name, hint) for name, hint in get_type_hints(verb).items() if name != "return")
     hints = get_type_hints(model, include_extras=True)
-    for one in fields(model):
-        if "typer" in one.metadata:
-            hints[one.name] = Annotated[hints[one.name], one.metadata["typer"]]
+    for option in fields(model):
+        if "typer" in option.metadata:
+            hints[option.name] = Annotated[hints[option.name], option.metadata["typer"]]
 
     def call(**given: Any) -> None:
         verb(model(**given))

@@ -33,19 +33,24 @@ def bill_of_materials(bundles: Sequence[Path]) -> str:
 
     Errors: BundleCorrupt, BundleMismatch.
     """
-    found: dict[str, Distribution] = {}
-    for one in distributions():
-        found.setdefault(_name(one), one)  # of two with one name Python imports the first
-    program = found.pop("gelgate")
+    packages: dict[str, Distribution] = {}
+    for distribution in distributions():
+        packages.setdefault(
+            _name(distribution), distribution
+        )  # of two with one name Python imports the first
+    program = packages.pop("gelgate")
     components = [
-        *(package_component(one) for _, one in sorted(found.items())),
+        *(package_component(one) for _, one in sorted(packages.items())),
         *_surroundings(),
-        *(one for path in bundles for one in _bundle_components(path)),
+        *(component for path in bundles for component in _bundle_components(path)),
     ]
-    unique = {one["bom-ref"]: one for one in components}
+    unique = {component["bom-ref"]: component for component in components}
     needs = [
-        {"ref": _url(one), "dependsOn": sorted({_url(found[name]) for name in _needs(one) if name in found})}
-        for one in (program, *(found[name] for name in sorted(found)))
+        {
+            "ref": _url(one),
+            "dependsOn": sorted({_url(packages[name]) for name in _needs(one) if name in packages}),
+        }
+        for one in (program, *(packages[name] for name in sorted(packages)))
     ]
     return write_bill(package_component(program, kind="application"), list(unique.values()), needs)
 

@@ -99,7 +99,7 @@ def describe_config(config: Config, form: Format) -> str:
     """Write the file from a configuration, with the broker of its first `mqtt` sink, or the usual one of this machine.
     Errors: ConfigError; BundleError where a bill of materials has a bundle that cannot be read."""
     if form is Format.CYCLONEDX:
-        return bill_of_materials([one.path for one in bundle_tables(config.inspection)])
+        return bill_of_materials([table.path for table in bundle_tables(config.inspection)])
     station = describe_station(config)
     broker = next((sink.options for sink in config.sinks if sink.plugin == "mqtt"), {})
     if form is Format.MOSQUITTO:
@@ -109,7 +109,7 @@ def describe_config(config: Config, form: Format) -> str:
             str(broker.get("username") or config.station.station),
             discovery_prefix=broker.get("home_assistant"),
             node=next(
-                (SparkplugNode.of(station.root, one.get("group"), one.get("node")) for one in nodes), None
+                (SparkplugNode.of(station.root, node.get("group"), node.get("node")) for node in nodes), None
             ),
         )
     has_tls = broker.get("tls") is not None

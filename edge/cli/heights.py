@@ -79,13 +79,13 @@ def heights(
     if made_with is None:
         _say_pixels(shown)
         return
-    found = measure_heights(shown.rgb, shown.free_rgb, made_with, shown.serial)
-    _say(found)
+    height_map = measure_heights(shown.rgb, shown.free_rgb, made_with, shown.serial)
+    _say(height_map)
     if part is not None:
-        for one in measure_roughness(found, part, cut_off_mm):
-            typer.echo(str(one))
+        for roughness in measure_roughness(height_map, part, cut_off_mm):
+            typer.echo(str(roughness))
     if output is not None:
-        output.write_bytes(encode_heights(found, shown.source, iso_time(shown.time_ns), output.suffix))
+        output.write_bytes(encode_heights(height_map, shown.source, iso_time(shown.time_ns), output.suffix))
         typer.echo(printable(f"written: {output}"))
 
 
@@ -150,11 +150,11 @@ def _read_picture(path: Path) -> U8:
 
 def _decode(payload: bytes, name: str) -> U8:
     frame = CameraFrame(payload, 0, 0)
-    known = {PROFILES[one].native: PROFILES[one] for one in ("mini_lr", "cropped_lr")}
+    known = {PROFILES[profile].native: PROFILES[profile] for profile in ("mini_lr", "cropped_lr")}
     if frame.size not in known:
-        found = "no picture" if frame.size is None else "{}x{}".format(*frame.size)
+        size_text = "no picture" if frame.size is None else "{}x{}".format(*frame.size)
         raise HeightError(
-            f"{name} is {found}; heights are measured in the camera's 3280x2464, or in the maker's crop of 320x240"
+            f"{name} is {size_text}; heights are measured in the camera's 3280x2464, or in the maker's crop of 320x240"
         )
     try:
         return decode(frame, known[frame.size])

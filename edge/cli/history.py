@@ -178,16 +178,18 @@ def _print_shadows(rows: Iterable[HistoryRow]) -> None:
     pairs: dict[tuple[str, str], list[JudgedTwice]] = defaultdict(list)
     for row in rows:
         if row.shadow is not None:
-            said = ShadowVerdict.decode(row.shadow)
+            shadow_verdict = ShadowVerdict.decode(row.shadow)
             saying = row.person_verdict
-            one = JudgedTwice(row.press_id, row.verdict, said.verdict, saying, saying == "damaged")
-            pairs[said.bundle_id, said.beside].append(one)
+            press = JudgedTwice(
+                row.press_id, row.verdict, shadow_verdict.verdict, saying, saying == "damaged"
+            )
+            pairs[shadow_verdict.bundle_id, shadow_verdict.beside].append(press)
     for (shadow, beside), presses in pairs.items():
         weighing = Weighing(presses)
         typer.echo(f"shadow {shadow[:12]} beside {beside[:12]}: {weighing.describe()}")
-        for one in weighing.differing[-PRINTED:]:
-            said_of_it = f"  ({one.saying})" if one.saying else ""
-            typer.echo(f"  {one.press_id}  {one.verdict}, shadow {one.other}{said_of_it}")
+        for press in weighing.differing[-PRINTED:]:
+            said_of_it = f"  ({press.saying})" if press.saying else ""
+            typer.echo(f"  {press.press_id}  {press.verdict}, shadow {press.other}{said_of_it}")
     if not pairs:
         typer.echo("no press that fits was judged by a shadow")
 
@@ -213,12 +215,12 @@ def _line(row: HistoryRow) -> str:
     if row.score is not None and row.threshold is not None:
         score = "  " + " / ".join(score_texts(row.score, row.threshold))
     cause = f" ({'part or gel' if row.cause == Cause.UNSURE else row.cause})" if row.cause else ""
-    said = " ".join(filter(None, (row.person_verdict, row.damage_kind)))
+    words = " ".join(filter(None, (row.person_verdict, row.damage_kind)))
     piece = f"  piece {row.piece_id}" if row.piece_id else ""
     shadow = f"  shadow {ShadowVerdict.decode(row.shadow).verdict}" if row.shadow else ""
     measured = str(DeviationPlace(**{name: getattr(row, name) for name in MEASURED}))
     return printable(
         f"{row.number}  {local_time(row.time_ns)}  {row.part}/{row.position or '-'}  {row.verdict}{cause}{score}"
-        f"  gel {row.gel_id}{f'  {row.person}: {said}' if said else ''}{shadow}{piece}"
+        f"  gel {row.gel_id}{f'  {row.person}: {words}' if words else ''}{shadow}{piece}"
         f"{f'  {measured}' if measured else ''}"
     )

@@ -149,11 +149,11 @@ def _say_presses(out: Path, name: str) -> None:
         return
     typer.echo("counting its presses; Ctrl-C leaves that out", err=True)
     try:
-        found, doubts = presses_in(recording, profile)
+        summary, doubts = presses_in(recording, profile)
     except KeyboardInterrupt:
         typer.echo("presses in it are not counted")
         return
-    typer.echo(f"seen in it: {found}")
+    typer.echo(f"seen in it: {summary}")
     for doubt in doubts:
         typer.echo(f"warning: {doubt}", err=True)
 

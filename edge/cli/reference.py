@@ -148,9 +148,9 @@ def request_press(
 def _waited(clock: Clock, timeout_s: float, found: Callable[[], T | None]) -> T | None:
     """The first thing that is found, or None when the time is over."""
     end_ns = clock.monotonic_ns() + round(timeout_s * 1e9)
-    while (one := found()) is None and clock.monotonic_ns() <= end_ns:
+    while (finding := found()) is None and clock.monotonic_ns() <= end_ns:
         clock.sleep(LOOK_S)
-    return one
+    return finding
 
 
 def _learn(loaded: Config | None, learn: int | None) -> int:
@@ -224,10 +224,10 @@ def _chart_line(chart: Chart) -> str:
     limits = chart.limits
     if limits is None:
         return f"  {name:18} {chart.values[-1]:10.4g}  limits are learnt: {chart.learnt} of {chart.learn}"
-    said = "  ".join(signal.value.replace("_", " ") for signal in chart.signals)
+    signals_text = "  ".join(signal.value.replace("_", " ") for signal in chart.signals)
     return (
         f"  {name:18} {chart.values[-1]:10.4g}  limits {limits.low:.4g} to {limits.high:.4g}, centre "
-        f"{limits.centre:.4g}  {said}"
+        f"{limits.centre:.4g}  {signals_text}"
     ).rstrip()
 
 

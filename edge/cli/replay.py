@@ -135,11 +135,13 @@ def _print_differences(
     made_again: Iterable[tuple[KnownPress, Replayed]], counts: Counter[str], *, as_json: bool, is_many: bool
 ) -> None:
     """Print each press, and count those that are `equal`, and that `differ`."""
-    for press, found in made_again:
-        counts["equal" if found.is_equal else "differ"] += 1
-        typer.echo(_as_json(press, found) if as_json else printable(_line(found)))
+    for press, comparison in made_again:
+        counts["equal" if comparison.is_equal else "differ"] += 1
+        typer.echo(_as_json(press, comparison) if as_json else printable(_line(comparison)))
         for sentence in (
-            () if as_json else (*found.differences, *(f"may be why: {why}" for why in found.machine))
+            ()
+            if as_json
+            else (*comparison.differences, *(f"may be why: {why}" for why in comparison.machine))
         ):
             typer.echo(printable(f"    {sentence}"))
     if is_many and not as_json:
@@ -154,12 +156,12 @@ def _print_differences(
 def _print_changes(made_again: Iterable[tuple[KnownPress, Replayed]], *, as_json: bool) -> None:
     """Print the verdicts that change, and a table: rows are the verdicts then, columns those now."""
     counts: Counter[tuple[str, str]] = Counter()
-    for press, found in made_again:
-        counts[found.then.verdict, found.now.word] += 1
+    for press, comparison in made_again:
+        counts[comparison.then.verdict, comparison.now.word] += 1
         if as_json:
-            typer.echo(_as_json(press, found))
-        elif found.now.word != found.then.verdict:
-            typer.echo(printable(f"{press.press_id}  {_compare(found)}"))
+            typer.echo(_as_json(press, comparison))
+        elif comparison.now.word != comparison.then.verdict:
+            typer.echo(printable(f"{press.press_id}  {_compare(comparison)}"))
     if as_json:
         return
     words = sorted({word for pair in counts for word in pair})
@@ -196,7 +198,12 @@ def _places(config: Path, database: Path | None, bundles: list[Path]) -> tuple[P
 def _configured(config: Config) -> Iterator[Path]:
     """The station's bundles that are there, also those that may take over."""
     table = config.inspection
-    for path in (table.bundle, table.bundle_folder, *(one.path for one in table.bundles), *table.shadows):
+    for path in (
+        table.bundle,
+        table.bundle_folder,
+        *(bundle.path for bundle in table.bundles),
+        *table.shadows,
+    ):
         if path is not None and path.exists():
             yield path
 

@@ -216,8 +216,8 @@ def press_line(report: PressReport) -> str:
     ahead = "done ahead: " if total < sum(stages.values()) else ""  # while the press came to rest
     verdict = (result.verdict or "error").upper()
     named = f"{label.kind} {label.piece}  " if (label := report.press.label) else ""
-    said = "".join(f"  {sentence}" for sentence in report.sentences)
+    sentences_text = "".join(f"  {sentence}" for sentence in report.sentences)
     return (
         f"{result.part}/{result.position or '-'}  {named}{verdict:8} {outcome}  "
-        f"{total:6.1f} ms ({ahead}{took})  gel {report.gel.presses}/{report.gel.limit_presses}{said}"
+        f"{total:6.1f} ms ({ahead}{took})  gel {report.gel.presses}/{report.gel.limit_presses}{sentences_text}"
     )

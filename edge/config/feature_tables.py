@@ -121,7 +121,7 @@ class PieceTable(Table):
 
     @property
     def plan(self) -> tuple[PartPosition, ...]:
-        return tuple(PartPosition(one.part, one.position) for one in self.places)
+        return tuple(PartPosition(place.part, place.position) for place in self.places)
 
     @model_validator(mode="after")
     def _each_place_once(self) -> "PieceTable":

@@ -350,10 +350,10 @@ class Config(Table):
 
     @model_validator(mode="after")
     def _one_word_per_pedal(self) -> "Config":
-        said: dict[str, list[tuple[str, Mapping[str, Any]]]] = {"good": [], "damaged": []}
+        pedals: dict[str, list[tuple[str, Mapping[str, Any]]]] = {"good": [], "damaged": []}
         for table in self.triggers:
-            said.get(table.action, []).append((table.plugin, table.options))
-        if both := [plugin for plugin, options in said["good"] if (plugin, options) in said["damaged"]]:
+            pedals.get(table.action, []).append((table.plugin, table.options))
+        if both := [plugin for plugin, options in pedals["good"] if (plugin, options) in pedals["damaged"]]:
             raise ValueError(
                 f"two [[triggers]] of {both[0]} have equal options, so one press of one pedal says `good` and "
                 "`damaged`; give each its own device, serial, key or line"

@@ -147,8 +147,8 @@ class StationView:
 
     def conditions(self) -> frozenset[str]:
         """Every condition that is true now. A verdict and the contact count only while the station inspects."""
-        found = {self.state, *(["alarm"] if self.alarms else []), *(self.alarms & {"gel"})}
+        true_conditions = {self.state, *(["alarm"] if self.alarms else []), *(self.alarms & {"gel"})}
         if self.state == "ready" and self.verdict is not None:
-            found.add(self.verdict)
-        found.add(self.contact if self.state == "ready" else "unknown")
-        return frozenset(found)
+            true_conditions.add(self.verdict)
+        true_conditions.add(self.contact if self.state == "ready" else "unknown")
+        return frozenset(true_conditions)

@@ -148,7 +148,7 @@ def weigh_places(
     regions: Sequence[DrawnRegion], frame: tuple[int, int], mm_per_pixel: tuple[float, float]
 ) -> F32:
     """Return the weight of each place of a score map, float32 (h, w)."""
-    weights = np.full(frame, 0 if any(one.kind == "judge" for one in regions) else 1, np.float32)
+    weights = np.full(frame, 0 if any(drawn.kind == "judge" for drawn in regions) else 1, np.float32)
     for kind in ("judge", "stricter", "ignore"):
         for region in regions:
             if region.kind == kind:

@@ -50,13 +50,17 @@ def settle(verdicts: Sequence[PersonVerdict]) -> PersonVerdict | None:
     if not newest:
         return None
     last = verdicts[-1]
-    said = Counter(verdict.saying for verdict in newest.values() if verdict.saying != "cannot_tell")
-    most = max(said.values(), default=0)
-    said = Counter({saying: count for saying, count in said.items() if 2 * count > most})
-    if len(said) > 1:
-        names = ", ".join(sorted(one.person for one in newest.values()))
+    counts = Counter(verdict.saying for verdict in newest.values() if verdict.saying != "cannot_tell")
+    most = max(counts.values(), default=0)
+    counts = Counter({saying: count for saying, count in counts.items() if 2 * count > most})
+    if len(counts) > 1:
+        names = ", ".join(sorted(verdict.person for verdict in newest.values()))
         return PersonVerdict(last.press_id, last.time_ns, names, "cannot_tell")
-    held = (one for one in reversed(verdicts) if one.saying in said and newest[_find_key(one)] is one)
+    held = (
+        verdict
+        for verdict in reversed(verdicts)
+        if verdict.saying in counts and newest[_find_key(verdict)] is verdict
+    )
     return next(held, last)
 
 
@@ -146,12 +150,14 @@ def choose_questions(
         open_ = [press for press in open_ if press.score_ratio is not None]
     else:
         open_ = [press for press in open_ if press.time_ns >= new_gel_ns]
-    is_drawn = [one for one in open_ if new_gel_ns is not None or one.verdict == "pass"]
+    is_drawn = [question for question in open_ if new_gel_ns is not None or question.verdict == "pass"]
     share = most // 5 if new_gel_ns is None else most
     drawn = sorted(is_drawn, key=_draw)[:share]
     if new_gel_ns is None:
-        drawn += sorted((one for one in open_ if one.verdict != "pass"), key=_draw)[:share]
-    close = sorted((one for one in open_ if one not in drawn), key=lambda one: (-one.doubt, one.press_id))
+        drawn += sorted((question for question in open_ if question.verdict != "pass"), key=_draw)[:share]
+    close = sorted(
+        (question for question in open_ if question not in drawn), key=lambda one: (-one.doubt, one.press_id)
+    )
     return sorted([*drawn, *close[: max(0, most - len(drawn))]], key=lambda one: one.press_id)
 
 
@@ -178,7 +184,7 @@ def find_broken_promise(
     Nobody looks at all that fails. So the rate of fails, and the share of good ones among those that people looked at,
     are each taken as low as they may be.
     """
-    failed = [one.press_id for one in presses if one.verdict != "pass"]
+    failed = [press.press_id for press in presses if press.verdict != "pass"]
     settled = [settle(said.get(press_id, ())) for press_id in failed]
     words = [one.saying for one in settled if one is not None and one.saying != "cannot_tell"]
     good = words.count("good")

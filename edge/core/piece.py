@@ -44,7 +44,7 @@ class Piece:
     @property
     def missing(self) -> tuple[PartPosition, ...]:
         """The places that are still to be pressed."""
-        done = {one.place for one in self.filled}
+        done = {place.place for place in self.filled}
         return tuple(place for place in self.places if place not in done)
 
     @property
@@ -54,7 +54,7 @@ class Piece:
 
     @property
     def has_failed(self) -> bool:
-        return any(one.verdict == "fail" for one in self.filled)
+        return any(place.verdict == "fail" for place in self.filled)
 
     @property
     def verdict(self) -> PieceVerdict:

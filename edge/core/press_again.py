@@ -131,9 +131,9 @@ def score_both(first: SeenScores, second: SeenScores) -> float:
 
     A place that one of them did not judge is decided by the other. Errors: ValueError where none was judged.
     """
-    one = np.where(first.is_judged, first.scores, second.scores)
+    first_scores = np.where(first.is_judged, first.scores, second.scores)
     other = np.where(second.is_judged, second.scores, first.scores)
-    shown = np.minimum(one, other)[first.is_judged | second.is_judged]
+    shown = np.minimum(first_scores, other)[first.is_judged | second.is_judged]
     if not len(shown):
         raise ValueError("no place of the part was judged")
     return float(shown.max()) / AGREED
@@ -173,7 +173,7 @@ def plan(known: KnownScores, threshold: float, rate: float, costs: Costs) -> Pla
     highest = max(float(scores.max()) for scores in above if len(scores))
     bounds = np.linspace(threshold, highest, _BOUNDS + 1)
     plans = [_at(bound, sound, damaged, costs) for bound in bounds]
-    spent = [_cost(one, costs) for one in plans]
+    spent = [_cost(candidate, costs) for candidate in plans]
     best = int(np.argmin(spent))
     if best == 0:
         why = "at these costs a second press costs more than the false alarms that it saves"

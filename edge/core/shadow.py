@@ -64,13 +64,13 @@ class Weighing:
     @property
     def differing(self) -> list[JudgedTwice]:
         """The presses that one of them passes and the other does not."""
-        return [one for one in self.presses if (one.verdict == "pass") != (one.other == "pass")]
+        return [press for press in self.presses if (press.verdict == "pass") != (press.other == "pass")]
 
     def describe(self) -> str:
         """Give false alarms and misses of both in one sentence."""
-        damaged = [one for one in self.presses if one.saying == "damaged"]
+        damaged = [press for press in self.presses if press.saying == "damaged"]
         good = self._good
-        stricter = sum(one.verdict == "pass" for one in self.differing)
+        stricter = sum(verdict.verdict == "pass" for verdict in self.differing)
         return (
             f"{write_count(len(self.presses), 'press')} judged by both: {stricter} pass the bundle in use alone, "
             f"{len(self.differing) - stricter} the shadow alone; of {len(good)} that people call good "
@@ -81,19 +81,23 @@ class Weighing:
 
     def doubts(self) -> list[str]:
         """Name the presses that anybody ever called damaged and the shadow passes, and say which are unknown."""
-        passing = [one.press_id for one in self.presses if one.was_damaged and one.other == "pass"]
+        passing = [press.press_id for press in self.presses if press.was_damaged and press.other == "pass"]
         named = [f"the shadow passes {', '.join(passing)}, which somebody called damaged"] if passing else []
         return [*named, *self.unknown]
 
     @property
     def lost(self) -> list[str]:
         """Damage that was found and that the shadow passes."""
-        return [one.press_id for one in self.presses if one.is_lost]
+        return [press.press_id for press in self.presses if press.is_lost]
 
     @property
     def unexplained(self) -> list[str]:
         """Presses that the shadow alone passes, and of which nobody said anything."""
-        return [one.press_id for one in self.differing if one.other == "pass" and one.saying is None]
+        return [
+            verdict.press_id
+            for verdict in self.differing
+            if verdict.other == "pass" and verdict.saying is None
+        ]
 
     @property
     def new_alarms(self) -> list[str]:
@@ -104,7 +108,7 @@ class Weighing:
 
     @property
     def _good(self) -> list[JudgedTwice]:
-        return [one for one in self.presses if one.saying in ("good", "gel")]
+        return [press for press in self.presses if press.saying in ("good", "gel")]
 
     @property
     def is_clear(self) -> bool:
@@ -112,64 +116,65 @@ class Weighing:
         shadow alone does not pass speaks against it, unless people call it damaged. Nothing is clear where it passes a
         press that the other one found and anybody ever called damaged, or where that is not known."""
         better = sum(
-            one.saying == "good" and one.verdict in ("fail", "unsure") and one.other == "pass"
-            for one in self.presses
+            press.saying == "good" and press.verdict in ("fail", "unsure") and press.other == "pass"
+            for press in self.presses
         )
         worse = sum(
-            one.saying != "damaged" and one.verdict == "pass" and one.other != "pass" for one in self.presses
+            press.saying != "damaged" and press.verdict == "pass" and press.other != "pass"
+            for press in self.presses
         )
         is_lost = any(
-            one.was_damaged and one.verdict != "pass" and one.other == "pass" for one in self.presses
+            press.was_damaged and press.verdict != "pass" and press.other == "pass" for press in self.presses
         )
         return is_more(better, worse) and not is_lost and not self.unknown
 
     def refusals(self, *, has_promise: bool) -> list[str]:
         """Say why the shadow may not take over; nothing where it may."""
-        found: list[str] = []
+        sentences: list[str] = []
         if not has_promise:
-            found.append(
+            sentences.append(
                 "it promises no rate of false alarms: fit it from presses, without a given threshold"
             )
-        both = sum(one.verdict in _JUDGED and one.other in _JUDGED for one in self.presses)
+        both = sum(press.verdict in _JUDGED and press.other in _JUDGED for press in self.presses)
         compared, least, which = both, LEAST_COMPARED, ""
         if self.is_new_gel:
             compared, least, which = len(self._good), LEAST_ON_NEW_GEL, " that people call good"
         if compared < least and not self.is_clear:
-            found.append(
+            sentences.append(
                 f"both have judged {write_count(compared, 'press')}{which}, at least {least} are needed"
             )
         if self.lost:
-            found.append(f"it passes damage that was found: {', '.join(self.lost)}")
+            sentences.append(f"it passes damage that was found: {', '.join(self.lost)}")
         if self.is_by_itself:
-            found += self._find_unanswered()
+            sentences += self._find_unanswered()
         if self.new_alarms:
             good = self._good
             now, then = _count(good, "other", passes=False), _count(good, "verdict", passes=False)
-            found.append(
+            sentences.append(
                 f"{now} instead of {then} of the {write_count(len(good), 'press')} that people call good do not "
                 f"pass it: {', '.join(self.new_alarms[:_MOST_NAMED])}"
             )
-        return found
+        return sentences
 
     def _find_unanswered(self) -> list[str]:
         """Say for what somebody has to answer who asks for the takeover; nothing where that is nothing."""
-        found: list[str] = []
+        sentences: list[str] = []
         if self.unexplained and not self.is_new_gel:
             named = ", ".join(self.unexplained[:_MOST_NAMED])
-            found.append(f"it alone passes {named}, and nobody has said what they were")
+            sentences.append(f"it alone passes {named}, and nobody has said what they were")
         if self.unknown:
-            found.append(
+            sentences.append(
                 f"whether it finds the damage of {write_count(len(self.unknown), 'press')} is not known"
             )
-        sound = [one for one in self.differing if not one.was_damaged]
+        sound = [verdict for verdict in self.differing if not verdict.was_damaged]
         failing = [one.press_id for one in sound if one.other != "pass"]
         passing = len(sound) - len(failing)
         if is_more(len(failing), passing):
-            found.append(
+            sentences.append(
                 f"{write_count(len(failing), 'press')} that nobody called damaged pass the bundle in use alone, "
                 f"{passing} the shadow alone, more than by chance: {', '.join(failing[:_MOST_NAMED])}"
             )
-        return found
+        return sentences
 
 
 def is_more(more: int, fewer: int) -> bool:
@@ -179,4 +184,4 @@ def is_more(more: int, fewer: int) -> bool:
 
 def _count(presses: Collection[JudgedTwice], whose: str, *, passes: bool) -> int:
     """Count those that pass, or do not, by `verdict` or `other`."""
-    return sum((getattr(one, whose) == "pass") == passes for one in presses)
+    return sum((getattr(press, whose) == "pass") == passes for press in presses)

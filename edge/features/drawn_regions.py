@@ -151,7 +151,7 @@ class DrawnRegionsStage(PressStage):
         drawn = made.regions
         return {
             "revision": made.revision,
-            "regions": [one.name for one in drawn.regions] if drawn else [],
+            "regions": [region.name for region in drawn.regions] if drawn else [],
             "said": (drawn and drawn.describe()) or "no region is drawn any more",
             "kept": str(old),
         }
@@ -192,8 +192,8 @@ def _run(words: list[str]) -> None:
         ) from None
     if done.returncode != 0:
         lines = [line for line in done.stderr.splitlines() if line.startswith("gelgate: ")]
-        said = lines[-1].removeprefix("gelgate: ") if lines else f"exit code {done.returncode}"
-        raise ValueError(f"the regions were not drawn: {said}")
+        sentence = lines[-1].removeprefix("gelgate: ") if lines else f"exit code {done.returncode}"
+        raise ValueError(f"the regions were not drawn: {sentence}")
 
 
 def _exchange(path: Path, new: Path, old: Path) -> None:

@@ -108,8 +108,10 @@ class Metrics(PressStage):
         raised = {alarm: float(alarm in alarms) for alarm in list_alarms()}
         yield _family("gauge", "alarm", "1 while the alarm is raised", "alarm", raised)
         if stats:
-            said = {"": stats["time_ns"] / 1e9}
-            yield _family("gauge", "report_time_seconds", "when these values were taken, Unix time", "", said)
+            times_s = {"": stats["time_ns"] / 1e9}
+            yield _family(
+                "gauge", "report_time_seconds", "when these values were taken, Unix time", "", times_s
+            )
         for field, (kind, name, label, text) in METRICS.items():
             if stats.get(field) is not None:
                 yield _family(kind, name, text, label, _values(stats[field]))

@@ -191,8 +191,12 @@ def _find_camera(table: OverviewTable) -> str:
     except DeviceError as error:
         discovered, away = [], str(error)
     else:
-        away = "; ".join(one.refusal for one in discovered if one.refusal) or "no camera is found"
-    names = [f"{one.identity.product}, serial {one.identity.serial}" for one in discovered if one.identity]
+        away = "; ".join(camera.refusal for camera in discovered if camera.refusal) or "no camera is found"
+    names = [
+        f"{camera.identity.product}, serial {camera.identity.serial}"
+        for camera in discovered
+        if camera.identity
+    ]
     until = Sentence("presses are refused") if rules.is_asking else Sentence("results come without its still")
     return ", ".join(names) or f"{away}; until it comes {until}"
 

@@ -117,11 +117,14 @@ class PersonVerdicts(PressStage):
             self._of_other_colours.add(press.press_id)
 
     def _ask(self, today: date, mounted: Mounted | None) -> None:
-        said = self._read_said()
-        answered = sum(any(local_day(one.time_ns) == today for one in verdicts) for verdicts in said.values())
+        verdicts_by_press = self._read_said()
+        answered = sum(
+            any(local_day(verdict.time_ns) == today for verdict in verdicts)
+            for verdicts in verdicts_by_press.values()
+        )
         again = self._store.read("reading what is asked again", self._asked_again.read)
         most = max(0, self._per_day - answered)
-        again, known = again[:most], {one.press_id for one in again} | said.keys()
+        again, known = again[:most], {one.press_id for one in again} | verdicts_by_press.keys()
         new_gel_ns = None
         if mounted is not None:  # since when its bundle is used on a gel on which it is not proven
             key = GelBundle(mounted.serial, mounted.gel_id, mounted.bundle_id)
@@ -131,7 +134,7 @@ class PersonVerdicts(PressStage):
             self._show(answered, questions)
         if mounted is not None:
             is_proven = new_gel_ns is None  # else the alarm `gel_proof` says the same
-            broken = self._find_broken_promise(mounted, said) if is_proven else None
+            broken = self._find_broken_promise(mounted, verdicts_by_press) if is_proven else None
             if broken != self._broken:
                 self._broken = broken
                 self._alarms.say("false_alarms", broken, "warning")
@@ -159,17 +162,19 @@ class PersonVerdicts(PressStage):
         if not limit.n or since_ns is None:
             return None
         judged = [
-            one
-            for one in self._presses
-            if (one.part, one.position) == mounted.part
-            and one.time_ns >= since_ns
-            and one.score_ratio is not None
+            press
+            for press in self._presses
+            if (press.part, press.position) == mounted.part
+            and press.time_ns >= since_ns
+            and press.score_ratio is not None
         ]
         return find_broken_promise(judged, said, max(limit.alpha, limit.alpha_floor))
 
     def _show(self, answered: int, questions: list[Asked]) -> None:
         self._shown = answered, questions
-        asked = tuple(Question(**vars(one), time_ms=one.time_ns // 1_000_000) for one in questions)
+        asked = tuple(
+            Question(**vars(question), time_ms=question.time_ns // 1_000_000) for question in questions
+        )
         payload = QuestionsPayload(
             time_ns=self._clock.time_ns(), per_day=self._per_day, answered_today=answered, presses=asked
         )
@@ -203,8 +208,8 @@ class PersonVerdicts(PressStage):
             raise ValueError(
                 f"press {press_id} is of a master piece or of a study: what it is, is known; confirm presses of parts"
             )
-        said = self._store.read("reading what people said", partial(read_verdicts, press_id=press_id))
-        earlier = said.get(press_id, [])
+        verdicts = self._store.read("reading what people said", partial(read_verdicts, press_id=press_id))
+        earlier = verdicts.get(press_id, [])
         return {
             "press_id": press_id,
             "verdict": table.verdict,

@@ -136,11 +136,11 @@ class Pieces(PressStage):
 
     def _find_known(self, piece_id: str) -> Sentence | None:
         """Say why no piece may begin with this id; None for a new one. Errors: StoreError."""
-        found = self._store.read("looking for a piece", partial(pieces.read_verdict, piece_id=piece_id))
-        if found is None:
+        row = self._store.read("looking for a piece", partial(pieces.read_verdict, piece_id=piece_id))
+        if row is None:
             return None
-        over = Sentence(f"the piece {piece_id} is over ({found[0]})")
-        state = Sentence(f"the piece {piece_id} is in progress") if found[0] is None else over
+        over = Sentence(f"the piece {piece_id} is over ({row[0]})")
+        state = Sentence(f"the piece {piece_id} is in progress") if row[0] is None else over
         return Sentence(f"{state}; an id is used once: begin a piece with an id of its own")
 
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
@@ -261,10 +261,10 @@ class Pieces(PressStage):
         self._say()
 
     def _say(self) -> None:
-        said = self._piece, self._last, self._lock
-        if said == self._said:
+        state = self._piece, self._last, self._lock
+        if state == self._said:
             return
-        self._said = said
+        self._said = state
         self._choose()
         piece = self._piece or self._next()
         payload = PiecePayload.of(

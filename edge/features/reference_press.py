@@ -244,7 +244,7 @@ class ReferenceGuard(PressStage):
         if mounted is None or self._table.enforce == "off":
             return
         for name, presses in self._presses.items():
-            scored = [one for one in presses if one.is_scored]
+            scored = [press for press in presses if press.is_scored]
             last_ns = _newest_with(scored, mounted)
             why = why_due(last_ns, self._clock.time_ns(), self._table.every_h, self._table.shifts)
             if why is not None:
@@ -252,8 +252,8 @@ class ReferenceGuard(PressStage):
                     f"a reference press of {name} is due: {why}; ask for it (`gelgate station reference press`), then "
                     "press it"
                 )
-            elif (found := judge(scored, self._table.learn)).outcome is Outcome.OUT_OF_LIMITS:
-                sentences = "; ".join(found.sentences)
+            elif (judgement := judge(scored, self._table.learn)).outcome is Outcome.OUT_OF_LIMITS:
+                sentences = "; ".join(judgement.sentences)
                 yield Sentence(
                     f"the reference press of {name} is out of limits: {sentences}; then press it again"
                 )
@@ -265,22 +265,22 @@ class ReferenceGuard(PressStage):
         for name, presses in self._presses.items():
             if not presses:
                 continue
-            found = judge(presses, self._table.learn)
-            if found.outcome is Outcome.WARNING:
-                sentences = "; ".join(found.sentences)
+            judgement = judge(presses, self._table.learn)
+            if judgement.outcome is Outcome.WARNING:
+                sentences = "; ".join(judgement.sentences)
                 yield Sentence(f"the reference press of {name} is in its limits, with a warning: {sentences}")
 
     def _say(self) -> None:
         """The alarm `reference`; where parts are refused it halts the station."""
         is_refusing = self._table.enforce == "refuse" and bool(self._faults)
-        said = [*self._faults, *self._warnings()]
+        sentences = [*self._faults, *self._warnings()]
         if self._armed is not None:
             piece, within_s = self._armed.label.piece, self._table.within_s
             wait = Sentence(
                 f"the next press is the reference press of {piece}: press it within {within_s:g} s"
             )
-            said.insert(0, _say_void(self._armed) or wait)
-        text = Sentence("; ".join(said))
+            sentences.insert(0, _say_void(self._armed) or wait)
+        text = Sentence("; ".join(sentences))
         if self._said == (is_refusing, text):
             return
         self._said = (is_refusing, text)
@@ -309,7 +309,7 @@ class _PublishedTable(PieceTable):
     def __init__(self, label: ReferenceLabel, press: Press, row: PressRecord) -> None:
         self._label = label
         key = PieceKey(row.serial, row.part, row.position or "", label.piece)
-        one = ReferencePress(
+        reference_press = ReferencePress(
             row.press_id,
             row.time_ns,
             "",  # the gel is known once the press is counted
@@ -322,7 +322,7 @@ class _PublishedTable(PieceTable):
             press.reason or press.error,
             label.is_start,
         )
-        super().__init__(key, one)
+        super().__init__(key, reference_press)
 
     def publish(self, result: ResultPayload, sequence: int) -> tuple[Sequence[Message], Sequence[str]]:
         judgement = judge(self.presses, self._label.learn)

@@ -97,15 +97,15 @@ class ScarWatch(PressStage):
         One piece that is pressed again and again at one place would look like a scar, so master pieces and studies are
         left out.
         """
-        found = None if settled is None else settled.findings
-        if found is None:  # refused, or never at rest: what it leaves on the gel would look like marks
+        findings = None if settled is None else settled.findings
+        if findings is None:  # refused, or never at rest: what it leaves on the gel would look like marks
             self._is_left_known = False
             return press
         is_left_known, self._is_left_known = self._is_left_known, True
         if press.label is not None:
-            self._left = found.imprint
+            self._left = findings.imprint
             return press
-        return self._judge(press, inspector, found, self._free.mean() if is_left_known else None)
+        return self._judge(press, inspector, findings, self._free.mean() if is_left_known else None)
 
     def record(self, press: Press, gel: GelRecord) -> None:
         """Say what is wrong with the gel, and keep the record of the scars where it is due: a result waits neither for

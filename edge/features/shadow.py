@@ -149,10 +149,10 @@ class Shadow(PressStage):
         faults = [*self._selection.shadow_faults]
         if self._fault is not None and self._fault[0] is self._selection.shadow:
             faults.append(Sentence(f"the shadow of {self._selection.part} {self._fault[1]}"))
-        if self._said != (said := "; ".join(faults) or None):
-            self._said = said
+        if self._said != (sentence := "; ".join(faults) or None):
+            self._said = sentence
             self._alarms.say(
-                "shadow", said and Sentence(f"{said}; presses are inspected without it"), "warning"
+                "shadow", sentence and Sentence(f"{sentence}; presses are inspected without it"), "warning"
             )
         self._gel = None if mounted is None else (mounted.serial, mounted.gel_id)
         wish = self._exchange
@@ -259,21 +259,21 @@ class Shadow(PressStage):
         archive = ArchiveFolder(self._store.path.with_suffix(".archive"))
         inspector: Inspector | None = None
         judged, unknown = list[JudgedTwice](), list[str]()
-        for one in missing:
+        for missing_press in missing:
             try:
-                press = archive.press(one.press_id, one.evidence)
-                has_failed = one.verdict != "pass" and press.bundle_id == failed_by
-                if failed_by is not None and not one.was_damaged and not has_failed:
+                press = archive.press(missing_press.press_id, missing_press.evidence)
+                has_failed = missing_press.verdict != "pass" and press.bundle_id == failed_by
+                if failed_by is not None and not missing_press.was_damaged and not has_failed:
                     continue
                 # The loop scores with the other one.
                 inspector = inspector or Inspector(shadow.scorer.copy(), self._clock)
                 now = judge_as_then(press, archive, inspector)
-                words = one.saying, one.was_damaged
-                judged.append(JudgedTwice(one.press_id, one.verdict, now.word, *words))
+                words = missing_press.saying, missing_press.was_damaged
+                judged.append(JudgedTwice(missing_press.press_id, missing_press.verdict, now.word, *words))
             except ArchiveError as error:
-                if one.was_damaged:
+                if missing_press.was_damaged:
                     unknown.append(
-                        f"whether the shadow finds the damage of {one.press_id} is not known: {error}"
+                        f"whether the shadow finds the damage of {missing_press.press_id} is not known: {error}"
                     )
         return judged, unknown
 
@@ -331,7 +331,7 @@ def _score(press: Press, shadow: Inspector, inspector: Inspector) -> Press:
 
 def _follow_light(press: Press, shadow: Inspector, inspector: Inspector) -> None:
     """Have the shadow follow the light that the press was scored under; it may be fitted under another one."""
-    fits = [one.bundle.free_reference for one in (inspector, shadow)]
+    fits = [judge.bundle.free_reference for judge in (inspector, shadow)]
     shadow.new_gel = inspector.new_gel
     if fits[0] is not None and fits[1] is not None and np.array_equal(fits[0].view, fits[1].view):
         shadow.set_light(press.light)

@@ -143,7 +143,7 @@ def _drawer(
 
     def draw_again(press_id: str) -> PressFiles:
         bundles = find_bundles()
-        opened = [one.bundle for one in (*bundles.bundles.values(), *bundles.shadows.values())]
+        opened = [bundle.bundle for bundle in (*bundles.bundles.values(), *bundles.shadows.values())]
         return draw_archived(press_id, store, opened, config.station.heatmap, list(stages))
 
     return draw_again

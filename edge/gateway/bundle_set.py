@@ -79,13 +79,13 @@ class BundleSet:
 
     def find_by_name(self, name: str) -> PartPosition:
         """Return the position with this name, such as the code on the part. Errors: ValueError."""
-        names = {name: one.part for one in self.bundles.values() for name in one.names}
+        names = {name: bundle.part for bundle in self.bundles.values() for name in bundle.names}
         return find_named(self.bundles, names, name)
 
     def find_all(self, name: str) -> frozenset[PartPosition]:
         """Return all positions with this name: several for a part with several positions, none for an unknown
         name."""
-        named = frozenset(one.part for one in self.bundles.values() if name in one.names)
+        named = frozenset(bundle.part for bundle in self.bundles.values() if name in bundle.names)
         return named or frozenset(part for part in self.bundles if name in (part.part, str(part)))
 
     def with_one(self, new: OpenBundle) -> "BundleSet":
@@ -110,9 +110,9 @@ class BundleSet:
         if (other := self.shadows.get(new.part)) is not None:
             raise ConfigError(f"{where} is for {new.part}, as {other.path} is; name one of them")
         for name in ("profile", "region"):
-            one, two = getattr(used.bundle.manifest, name), getattr(new.bundle.manifest, name)
-            if one != two:
-                fields, others = asdict(one), asdict(two)
+            used_entry, two = getattr(used.bundle.manifest, name), getattr(new.bundle.manifest, name)
+            if used_entry != two:
+                fields, others = asdict(used_entry), asdict(two)
                 differ = ", ".join(
                     f"{key} {others[key]}, not {fields[key]}" for key in fields if fields[key] != others[key]
                 )
@@ -141,9 +141,9 @@ class BundleSet:
 def _check_same_reading(first: Bundle, other: Bundle) -> None:
     """A switch between presses leaves the sensor running and keeps the learnt picture of the free gel."""
     for name in ("native", "border", "controls"):
-        one, two = getattr(first.profile, name), getattr(other.profile, name)
-        if one != two:
+        first_setting, two = getattr(first.profile, name), getattr(other.profile, name)
+        if first_setting != two:
             raise BundleMismatch(
                 f"bundle {other.where} needs the sensor's {name} {two}, bundle {first.where} of the same station "
-                f"{one}; fit both with one profile"
+                f"{first_setting}; fit both with one profile"
             )

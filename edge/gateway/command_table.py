@@ -209,7 +209,7 @@ def describe_station(config: Config) -> DescribedStation:
         root=config.station.place.root,
         place=str(config.station.place),
         version=find_version("gelgate"),
-        commands=[one for one in station_commands(config) if one.verb in served],
+        commands=[command for command in station_commands(config) if command.verb in served],
         signed=commands.signed,
         picture_type=f"image/{config.station.heatmap}",
         keeps_heatmap=config.keeps_heatmap,

@@ -76,24 +76,28 @@ class BundleOpener:
 
         Errors: ConfigError for the trusted keys, and for a folder without a bundle.
         """
-        before, found, faults = before or BundleSet(), BundleSet(), dict[Path, GelgateError]()
+        before, bundle_set, faults = before or BundleSet(), BundleSet(), dict[Path, GelgateError]()
         trust = Trust(table.signed, {} if table.trusted_keys is None else trusted_keys(table.trusted_keys))
-        for one in bundle_tables(table):
-            earlier = before.at(one.path)
+        for bundle_table in bundle_tables(table):
+            earlier = before.at(bundle_table.path)
             try:
-                found = found.with_one(self._open_one(one, table, trust, earlier))
+                bundle_set = bundle_set.with_one(self._open_one(bundle_table, table, trust, earlier))
             except GelgateError as error:
-                faults[one.path] = error
+                faults[bundle_table.path] = error
                 with contextlib.suppress(GelgateError):
-                    found = found.with_one(earlier) if earlier and before.may_inspect(earlier) else found
-        found = self._open_shadows(table, trust, before, found, faults)
+                    bundle_set = (
+                        bundle_set.with_one(earlier)
+                        if earlier and before.may_inspect(earlier)
+                        else bundle_set
+                    )
+        bundle_set = self._open_shadows(table, trust, before, bundle_set, faults)
         used = [
-            one.bundle.trunk_sha256
-            for each in (before, found)
-            for one in (*each.bundles.values(), *each.shadows.values())
+            bundle.bundle.trunk_sha256
+            for each in (before, bundle_set)
+            for bundle in (*each.bundles.values(), *each.shadows.values())
         ]
         self.trunks.keep_only(used)
-        return Opened(found, faults)
+        return Opened(bundle_set, faults)
 
     def open_again(self, at_start: Config, now: Config, before: BundleSet) -> Opened:
         """The same with what is configured now, and what else has changed since the start. Errors: as `open`."""
@@ -121,16 +125,16 @@ class BundleOpener:
                 of_bundles[path] = error  # it inspects, and goes on as every bundle in use
                 with contextlib.suppress(GelgateError):
                     found = found.with_shadow(replace(earlier, instead_of=None))
-        for part, one in found.bundles.items():
+        for part, open_bundle in found.bundles.items():
             configured, shadow_id = self.taken(part) or ("", "")
-            if one.bundle.digest != configured:
+            if open_bundle.bundle.digest != configured:
                 continue
             if part in found.shadows and found.shadows[part].bundle.digest == shadow_id:
                 found = found.exchange(part)
             else:
                 faults.append(
-                    f"bundle {shadow_id[:12]}, which had taken the place of {one.path}, is not among the shadows that "
-                    f"can be used, so the configured one inspects {part} again"
+                    f"bundle {shadow_id[:12]}, which had taken the place of {open_bundle.path}, is not among the "
+                    f"shadows that can be used, so the configured one inspects {part} again"
                 )
         return replace(found, shadow_faults=tuple(faults))
 
@@ -181,12 +185,12 @@ def bundle_tables(table: InspectionTable) -> tuple[BundleTable, ...]:
         return (BundleTable(path=table.bundle),)
     if table.bundle_folder is None:
         return table.bundles
-    found = tuple(BundleTable(path=path) for path in _bundles_in(table.bundle_folder))
-    if not found:
+    tables = tuple(BundleTable(path=path) for path in _bundles_in(table.bundle_folder))
+    if not tables:
         raise ConfigError(
             f"inspection.bundle_folder: there is no bundle in {table.bundle_folder}; `gelgate fit` makes one"
         )
-    return found
+    return tables
 
 
 def first_part(table: InspectionTable, bundles: BundleSet, selected: PartPosition | None) -> PartPosition:

@@ -262,18 +262,20 @@ class PartSelection:
         for fault in faults:
             log.error("%s", fault)
         self._status.say("bundle", join_sentences(faults))
-        said = list(faults)
+        sentences = list(faults)
         if left:
-            said.append(f"changed in the configuration, and read at the next start alone: {', '.join(left)}")
-            log.warning("%s", said[-1])
-        bundles = {str(part): one.bundle.digest for part, one in self.bundles.bundles.items()}
+            sentences.append(
+                f"changed in the configuration, and read at the next start alone: {', '.join(left)}"
+            )
+            log.warning("%s", sentences[-1])
+        bundles = {str(part): bundle.bundle.digest for part, bundle in self.bundles.bundles.items()}
         self._unrecorded.append(
             Act(
                 self._clock.time_ns(),
                 "the gateway",
                 "open_bundles",
                 outcome="failed" if faults else "done",
-                sentence=join_sentences(said),
+                sentence=join_sentences(sentences),
                 after={"bundles": bundles},
             )
         )

@@ -126,11 +126,11 @@ class Preflight:
             return
         self.bundles = opened.bundles
         self.findings += [
-            Finding("bundle", _describe_bundles(one)) for one in opened.bundles.bundles.values()
+            Finding("bundle", _describe_bundles(bundle)) for bundle in opened.bundles.bundles.values()
         ]
         self.findings += [
-            Finding("shadow", f"{_describe_bundles(one)}; it decides nothing")
-            for one in opened.bundles.shadows.values()
+            Finding("shadow", f"{_describe_bundles(shadow)}; it decides nothing")
+            for shadow in opened.bundles.shadows.values()
         ]
         self.findings += [
             Finding("shadow", f"warning: {fault}; presses are inspected without it")
@@ -165,25 +165,27 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     opener = BundleOpener(tried, config.inspection.threads, clock, keeps_trials=is_start)
     opener.newest = lambda part: _describe_store(config, partial(bundles_in_use.revision, part=part))
     opener.taken = lambda part: _describe_store(config, partial(bundles_in_use.read_takeover, part=part))
-    found = Preflight(opener)
-    found.open_bundles(config)
-    if config.inspection.part is not None and all(finding.error is None for finding in found.findings):
+    checks = Preflight(opener)
+    checks.open_bundles(config)
+    if config.inspection.part is not None and all(finding.error is None for finding in checks.findings):
         selected = _describe_store(config, bundles_in_use.read_selected)
-        found.try_part("part", lambda: _describe_part(config.inspection, found.bundles, selected))
-    if config.piece is not None and found.bundles.bundles:
-        found.try_part("places", partial(_check_places, config.piece, found.bundles))
-    found.try_part("sensor", lambda: found.open_sensor(config, clock))
-    found.try_part("database", partial(_database, config, clock, is_start=is_start))
-    found.try_part("commands", lambda: _commands(config))
-    found.try_part("pictures", lambda: _pictures(config))
-    found.try_features(config)
+        checks.try_part("part", lambda: _describe_part(config.inspection, checks.bundles, selected))
+    if config.piece is not None and checks.bundles.bundles:
+        checks.try_part("places", partial(_check_places, config.piece, checks.bundles))
+    checks.try_part("sensor", lambda: checks.open_sensor(config, clock))
+    checks.try_part("database", partial(_database, config, clock, is_start=is_start))
+    checks.try_part("commands", lambda: _commands(config))
+    checks.try_part("pictures", lambda: _pictures(config))
+    checks.try_features(config)
     try:
         _check_ports(config)
     except ConfigError as error:
-        found.findings.append(Finding("ports", str(error), error))
+        checks.findings.append(Finding("ports", str(error), error))
     for index, sink in enumerate(config.sinks):
-        found.try_part(f"sink {sink.plugin}", partial(try_sink, sink, f"sinks.{index}", logs_in=not is_start))
-    return found
+        checks.try_part(
+            f"sink {sink.plugin}", partial(try_sink, sink, f"sinks.{index}", logs_in=not is_start)
+        )
+    return checks
 
 
 def _describe_bundles(one: OpenBundle) -> str:
@@ -229,8 +231,8 @@ def _require_sensor(config: Config) -> None:
     plugin = registry.device(config.device.plugin)
     options = plugin.Options.model_validate(config.device.options)
     discovered = plugin.discover(options)
-    if not any(one.identity for one in discovered):
-        seen = "; ".join(one.refusal for one in discovered if one.refusal)
+    if not any(device.identity for device in discovered):
+        seen = "; ".join(device.refusal for device in discovered if device.refusal)
         raise DeviceNotFound(
             f"no sensor for device '{config.device.plugin}' is plugged in"
             + (f" ({seen})" if seen else "; check the cable, then `gelgate devices`")

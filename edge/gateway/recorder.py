@@ -212,8 +212,10 @@ def press_drawing(
         lit = rgb if press.light is None else press.light.restore(rgb, bundle.region, bundle.profile.size)
         compared = compare_press(bundle, lit, score_map, press.registered) if is_asked else None
         measured = None if measure is None else _deviations(measure(), press)
-        said = caption if measured is None else caption._replace(deviation=str(measured.first))
-        return PressFiles(sheet(caption=said, compared=compared), encode_scores(score_map, said), measured)
+        full_caption = caption if measured is None else caption._replace(deviation=str(measured.first))
+        return PressFiles(
+            sheet(caption=full_caption, compared=compared), encode_scores(score_map, full_caption), measured
+        )
 
     return draw
 
@@ -268,7 +270,7 @@ def _deviations(measured: Measured, press: Press) -> DeviationsPayload:
         press_id=press.press_id,
         calibration=measured.calibration,
         reason=measured.reason or None,
-        deviations=[DeviationPlace.of(one) for one in measured.deviations],
+        deviations=[DeviationPlace.of(deviation) for deviation in measured.deviations],
     )
 
 
@@ -322,7 +324,7 @@ def _defects(press: Press, bundle: Bundle) -> Mapping[str, Any]:
     regions = bundle.manifest.regions.regions if bundle.manifest.regions else ()
     pose = None if press.registered is None else press.registered.pose
     scale, frame = bundle.profile.mm_per_pixel, bundle.manifest.frame
-    around = [region_at(regions, one.centroid_px, scale, frame, pose) for one in defects[:MOST_DEFECTS]]
+    around = [region_at(regions, defect.centroid_px, scale, frame, pose) for defect in defects[:MOST_DEFECTS]]
     return {
         "defects": [
             DefectPlace.of(defect, x_mm, y_mm, None if region is None else region.name)

@@ -364,5 +364,5 @@ class Report:
 
 def _describe(sink: SinkCounters) -> str:
     """Return a receiver's state in `stats`; errors are English."""
-    said = Sentence("up") if sink.is_up else sink.last_error or Sentence("not yet tried")
-    return Sentence(f"{said}, MQTT {sink.level}") if sink.level else said
+    state = Sentence("up") if sink.is_up else sink.last_error or Sentence("not yet tried")
+    return Sentence(f"{state}, MQTT {sink.level}") if sink.level else state

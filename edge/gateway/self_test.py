@@ -24,18 +24,18 @@ def self_test(parts: Parts) -> Callable[[], Mapping[str, Any]]:
     """Asked on the loop's thread; the result is called on another one, while the loop scores the golden frames."""
     golden, where = parts.selection.golden.request(), parts.selection.inspector.bundle.where
     frames = len(parts.selection.inspector.bundle.golden)
-    found = {
+    checks = {
         "sensor": _sensor(parts.acquisition),
         "receivers": _receivers(parts.publisher),
         "disk": _disk(parts.free_space),
     }
 
     def rest() -> Mapping[str, Any]:
-        found["store"] = _store(parts)
-        found["golden"] = _golden(golden, f"the {frames} golden frames of bundle {where}")
+        checks["store"] = _store(parts)
+        checks["golden"] = _golden(golden, f"the {frames} golden frames of bundle {where}")
         return {
-            "is_ok": all(is_ok for is_ok, _ in found.values()),
-            "parts": {part: {"is_ok": is_ok, "text": text} for part, (is_ok, text) in sorted(found.items())},
+            "is_ok": all(is_ok for is_ok, _ in checks.values()),
+            "parts": {part: {"is_ok": is_ok, "text": text} for part, (is_ok, text) in sorted(checks.items())},
         }
 
     return rest
@@ -77,8 +77,8 @@ def _receivers(publisher: Publisher) -> Finding:
     counters = publisher.counters()
     faults = [
         f"{name}: {fault}"
-        for name, one in counters.items()
-        for fault in (*one.faults, *([] if one.is_up else [one.last_error or "not yet tried"]))
+        for name, counter in counters.items()
+        for fault in (*counter.faults, *([] if counter.is_up else [counter.last_error or "not yet tried"]))
     ]
     return not faults, "; ".join(faults) or f"{', '.join(counters)}: up"
 

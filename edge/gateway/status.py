@@ -127,9 +127,9 @@ class StationStatus:
 
     def _say_state(self) -> None:
         word, reason = self._state()
-        said = (word, reason, self._unproven)
-        if said != self._said:
-            self._said, time_ns = said, self._clock.time_ns()
+        state = (word, reason, self._unproven)
+        if state != self._said:
+            self._said, time_ns = state, self._clock.time_ns()
             self.announce(availability_message(is_online=word != "stopped"))
             payload = StatePayload(time_ns=time_ns, state=word, reason=reason, unproven=self._unproven)
             self.announce(payload.message())
@@ -231,7 +231,9 @@ class StationStatus:
             threshold=manifest.threshold.value,
             false_alarms=promise(manifest.threshold),
             regions=(manifest.regions.describe() or None) if manifest.regions else None,
-            region_names=tuple(one.name for one in manifest.regions.regions) if manifest.regions else (),
+            region_names=tuple(region.name for region in manifest.regions.regions)
+            if manifest.regions
+            else (),
             field_mm=(manifest.region.width * x_mm, manifest.region.height * y_mm) if is_drawn_on else None,
             warnings=manifest.provenance.warnings,
         )

@@ -36,7 +36,7 @@ class DeviationPlace(BaseModel, strict=True, frozen=True, extra="forbid", allow_
         return cls(**{**vars(deviation), "remark": deviation.remark or None})
 
     def __str__(self) -> str:
-        said = [
+        phrases = [
             f"{name} {value:.3f} +- {u95:.3f} mm"
             for name, value, u95 in (
                 ("depth", self.depth_mm, self.depth_u95_mm),
@@ -44,7 +44,7 @@ class DeviationPlace(BaseModel, strict=True, frozen=True, extra="forbid", allow_
             )
             if value is not None
         ]
-        return ", ".join(said)
+        return ", ".join(phrases)
 
 
 class DeviationsPayload(Payload):

@@ -22,7 +22,7 @@ class PiecePlace(BaseModel, strict=True, frozen=True, extra="forbid", allow_inf_
 
     @classmethod
     def all_of(cls, piece: Piece) -> tuple[Self, ...]:
-        filled = {one.place: one for one in piece.filled}
+        filled = {place.place: place for place in piece.filled}
         return tuple(
             cls(**place._asdict(), verdict=one.verdict, press_id=one.press_id)
             if (one := filled.get(place))

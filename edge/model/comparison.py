@@ -29,15 +29,15 @@ def compare_press(
         return pictures.compare(bundle.prepare(rgb), (column, row), scale)
     back, (h, w) = registered.pose.inverse(), score_map.shape
     x, y = back.matrix((w, h)) @ np.array([column, row, 1.0])
-    found = pictures.compare(registered.rgb, (float(x), float(y)), scale)
+    comparison = pictures.compare(registered.rgb, (float(x), float(y)), scale)
     reached = warp(np.ones((h, w), np.float32), back)[..., None] > 0.5
-    nominal = np.where(reached, warp(found.nominal, back), np.float32(_NOTHING))
-    return Compared(nominal, warp(found.difference, back), found.name)
+    nominal = np.where(reached, warp(comparison.nominal, back), np.float32(_NOTHING))
+    return Compared(nominal, warp(comparison.difference, back), comparison.name)
 
 
 def outline_regions(bundle: Bundle, pose: Pose | None) -> list[Outline]:
     """Return the outlines of the drawn regions where the part lies in a press."""
     regions = bundle.manifest.regions.regions if bundle.manifest.regions else ()
     scale, frame = bundle.profile.mm_per_pixel, bundle.manifest.frame
-    found = ((one, one.corners_in_press(scale, frame, pose)) for one in regions)
-    return [Outline(one.name, one.kind, corners) for one, corners in found]
+    region_corners = ((region, region.corners_in_press(scale, frame, pose)) for region in regions)
+    return [Outline(one.name, one.kind, corners) for one, corners in region_corners]

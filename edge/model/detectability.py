@@ -86,17 +86,17 @@ def _sentence(kind: KindCard) -> str:
     sizes = [size for size in kind.place_a90_95_mm if size is not None]
     blind = kind.place_state.count("blind")
     unknown = len(kind.place_state) - len(sizes) - blind
-    said = []
+    phrases = []
     if sizes:
         spread = (
             f"{min(sizes):.2g} mm" if min(sizes) == max(sizes) else f"{min(sizes):.2g} to {max(sizes):.2g} mm"
         )
-        said.append(
+        phrases.append(
             f"found in 90 % of cases, 95 % sure, from {spread} at {len(sizes)} of {len(kind.place_state)} places"
         )
     if unknown:
-        said.append(f"not shown up to {kind.largest_mm:g} mm at {unknown}")
+        phrases.append(f"not shown up to {kind.largest_mm:g} mm at {unknown}")
     if blind:
-        said.append(f"blind at {blind}")
+        phrases.append(f"blind at {blind}")
     anywhere = "not shown" if kind.a90_95_mm is None else f"from {kind.a90_95_mm:.2g} mm"
-    return ", ".join(said) + f"; anywhere {anywhere}"
+    return ", ".join(phrases) + f"; anywhere {anywhere}"

@@ -48,7 +48,7 @@ class DeviationMeter:
         )
         size = heights.shape[1], heights.shape[0]
         good = [_lay(one, press.registered, bundle.region.width) for one in self._good[1]]
-        above = [_places(one, judged, size) for one in defects]
+        above = [_places(defect, judged, size) for defect in defects]
         sound = ~np.logical_or.reduce(above) if above else np.ones(heights.shape, np.bool_)
         sound &= ~_resize(_unjudged(press, bundle), size)
         return Measured(
@@ -102,7 +102,7 @@ def _view(bundle: Bundle) -> View:
 
 def _good(bundle: Bundle) -> list[U8]:
     """Return good presses in the bank's pose: the golden frames that nothing is painted on."""
-    return [one.rgb for one in bundle.golden if "painted" not in one.what]
+    return [press.rgb for press in bundle.golden if "painted" not in press.what]
 
 
 def _lay(heights: F64, registered: Registered | None, width_px: int) -> F64:

@@ -58,8 +58,10 @@ def choice_sentence(facts: Mapping[str, Any], name: str) -> str:
     if not isinstance(entry, Mapping) or not {choice, "why"} <= entry.keys():
         return ""
     if name == LIMIT:
-        found = facts.get(DAMAGE_FOUND)
-        return "; ".join(filter(None, (f"{entry[choice]}: {entry['why']}", found and str(found))))
+        damage_found = facts.get(DAMAGE_FOUND)
+        return "; ".join(
+            filter(None, (f"{entry[choice]}: {entry['why']}", damage_found and str(damage_found)))
+        )
     if name == MISSING:
         return f"{'checked' if entry[choice] else 'not checked'}: {entry['why']}"
     return str(entry["why"])

@@ -77,8 +77,8 @@ class Pipe:
             self._trunk.run_with_iobinding(self._trunk_io)
         self._has_features = self._trunk is not None
         trunk_ms = (time.perf_counter() - start) * 1e3
-        found, _, head_ms = self.run_head()
-        return found, trunk_ms, head_ms
+        outputs, _, head_ms = self.run_head()
+        return outputs, trunk_ms, head_ms
 
     def run_head(self) -> Ran:
         """Run the head on the features that are there."""
@@ -86,8 +86,8 @@ class Pipe:
         self._head.run_with_iobinding(self._head_io)
         end = time.perf_counter()
         # The runtime writes the next result into the same memory, so a copy is returned.
-        found = [value.numpy().copy() for value in self._head_io.get_outputs()]
-        return found, 0.0, (end - start) * 1e3
+        outputs = [value.numpy().copy() for value in self._head_io.get_outputs()]
+        return outputs, 0.0, (end - start) * 1e3
 
     def find_features(self, rgb: NDArray[np.uint8]) -> Mapping[str, ort.OrtValue] | None:
         """Return the features of this frame, uint8 (h, w, 3), where the last run was of it alone."""

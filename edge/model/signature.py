@@ -129,20 +129,20 @@ def read_key(path: Path, kind: str, load: Callable[[bytes], object], wanted: typ
     """Read the key of a small PEM file. kind: in words. Errors: ConfigError."""
     from cryptography.exceptions import UnsupportedAlgorithm
 
-    found: object
+    key: object
     try:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
         if len(data) > _MAX_BYTES:
             raise ConfigError(f"{path} is no key: it has more than {_MAX_BYTES} bytes")
-        found = load(data)
+        key = load(data)
     except OSError as error:
         raise ConfigError(f"the key {path} cannot be read: {error.strerror}") from error
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:  # TypeError: the key has a password
-        found = error
-    if isinstance(found, wanted):
-        return found
-    what = found if isinstance(found, Exception) else type(found).__name__
+        key = error
+    if isinstance(key, wanted):
+        return key
+    what = key if isinstance(key, Exception) else type(key).__name__
     raise ConfigError(
         f"{path} is not a {kind} Ed25519 key in PEM form without a password ({what!s:.100}); "
         "`gelgate bundle keys new` makes one"

@@ -62,8 +62,8 @@ class TileRunner:
         self._tile[0] = frame[row : row + side, column : column + side]
         self._session.run_with_iobinding(self._io)
         self.runs += 1
-        for tap, found in self._found.items():
-            into[tap][self.place(tap, index)] = found[0]
+        for tap, tile_maps in self._found.items():
+            into[tap][self.place(tap, index)] = tile_maps[0]
 
     def mosaics(self, frames: int, free: "FreeGel | None") -> "TiledMaps":
         """Make the mosaics of so many frames."""

@@ -53,10 +53,10 @@ def try_bundle(
         ) from None
     if done.returncode == 0:
         return
-    said = done.stdout.strip()
-    if done.returncode == REFUSED and "allocate memory" not in said:
-        raise BundleCorrupt(said)
-    last = "".join((said or done.stderr.strip()).splitlines()[-1:]) or f"exit code {done.returncode}"
+    output = done.stdout.strip()
+    if done.returncode == REFUSED and "allocate memory" not in output:
+        raise BundleCorrupt(output)
+    last = "".join((output or done.stderr.strip()).splitlines()[-1:]) or f"exit code {done.returncode}"
     if done.returncode == -signal.SIGKILL:
         last = "it was killed, as where the memory is full"
     raise BundleCorrupt(

@@ -44,16 +44,16 @@ def find_file(folder: Path, path: str) -> ManualFile | None:
     """Return the file at a path such as `docs/mqtt.html`; None where there is none in the folder."""
     root = folder.resolve()
     try:
-        found = (root / (unquote(path) or "index.html")).resolve()
-        if not found.is_relative_to(root) or not found.is_file():
+        file_path = (root / (unquote(path) or "index.html")).resolve()
+        if not file_path.is_relative_to(root) or not file_path.is_file():
             return None
-        content = found.read_bytes()
+        content = file_path.read_bytes()
     except (OSError, ValueError):  # such as a NUL in it, or a name that is too long
         return None
-    kind = _TYPES.get(found.suffix, TEXT)
+    kind = _TYPES.get(file_path.suffix, TEXT)
     hashes = " ".join(
         f"'sha256-{base64.b64encode(hashlib.sha256(script).digest()).decode()}'"
-        for script in _SCRIPT.findall(content if found.suffix == ".html" else b"")
+        for script in _SCRIPT.findall(content if file_path.suffix == ".html" else b"")
     )
     policy = (
         f"default-src 'self'; script-src 'self' {hashes}; style-src 'self' 'unsafe-inline'; "
@@ -70,11 +70,11 @@ def serve_manual(folder: Path, port: int, clock: Clock) -> Iterator[HttpServer]:
         access = Access()
 
         def do_GET(self) -> None:
-            found = find_file(folder, urlsplit(self.path).path.removeprefix("/"))
-            if found is None:
+            manual_file = find_file(folder, urlsplit(self.path).path.removeprefix("/"))
+            if manual_file is None:
                 self.say(404, "there is no such page of the manual")
             else:
-                self.answer(200, found.content_type, found.content, found.policy)
+                self.answer(200, manual_file.content_type, manual_file.content, manual_file.policy)
 
     try:
         server = HttpServer(("127.0.0.1", port), Handler, clock, "manual")

@@ -43,7 +43,7 @@ _FILES = {
 
 # Besides English, which is that of the HTML and JavaScript; each is named in page.html too.
 LANGUAGES: Final = ("de", "it", "ja")
-_WORDS = {f"/words/{one}.json": one for one in LANGUAGES}
+_WORDS = {f"/words/{language}.json": language for language in LANGUAGES}
 
 _PARTS: Final = ("state", "info", "gel", "reference", "piece", "questions", "drift", "stats", "alarms")
 
@@ -152,11 +152,11 @@ class _Handler(HttpHandler):
         return {**self.shown.station(), "changes": self.changes.offer(), "has_manual": has_manual}
 
     def _manual(self, path: str) -> None:
-        found = None if self.manual is None else find_file(self.manual, path)
-        if found is None:
+        manual_file = None if self.manual is None else find_file(self.manual, path)
+        if manual_file is None:
             self.say(404, "there is no such page")
         else:
-            self.answer(200, found.content_type, found.content, found.policy)
+            self.answer(200, manual_file.content_type, manual_file.content, manual_file.policy)
 
     def _picture(self, path: str) -> None:
         press_id = path.removeprefix("/pictures/")

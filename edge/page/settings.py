@@ -108,10 +108,10 @@ class PageSettings(BaseModel):
 
     def warnings(self) -> list[str]:
         """Say what is open to others. Errors: ConfigError for a token that cannot be used."""
-        has_token, said = self.token() is not None, []
+        has_token, sentences = self.token() is not None, []
         if self.manual is not None and not (self.manual / "index.html").is_file():
-            said.append(f"no manual is in {self.manual}; `gelgate station docs --site` makes it")
+            sentences.append(f"no manual is in {self.manual}; `gelgate station docs --site` makes it")
         if not ip_address(self.bind).is_loopback:
             way = ": its token can be read on the way; set bind to 127.0.0.1 behind a proxy with TLS"
-            said.append("the page is not encrypted on the network" + (way if has_token else ""))
-        return said
+            sentences.append("the page is not encrypted on the network" + (way if has_token else ""))
+        return sentences

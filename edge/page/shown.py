@@ -165,7 +165,7 @@ class Shown:
     def _asked(self) -> list[str]:
         """The presses that a person is asked about, as far as their pictures are kept."""
         questions = (self._status["questions"] or {}).get("presses", ())[:MOST_ASKED]
-        return [one["press_id"] for one in questions]
+        return [question["press_id"] for question in questions]
 
     def _see_last_picture(self, data: bytes) -> None:
         """Keep the retained picture of `last/press` for pages that are opened later. The id is in the file."""
@@ -245,11 +245,11 @@ class Shown:
             with suppress(ValueError):  # it is too large to be shown
                 self._see_picture(press_id, self._draw(press_id))
             with self._changed:
-                found = self._pictures.get(press_id)
-                if found is None:
+                picture = self._pictures.get(press_id)
+                if picture is None:
                     self._not_drawn.add(press_id)
                     self._note()
-                return found
+                return picture
 
     def _to_draw(self) -> list[str]:
         """The presses of before the start, and those that a person is asked about, whose pictures can be drawn."""

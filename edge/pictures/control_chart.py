@@ -60,13 +60,13 @@ def _strip(chart: Chart, top: int) -> str:
 
 def _kind(chart: Chart, number: int) -> str:
     """Name the kind of a value: out, said or point. Values of which the limits are made are points."""
-    made = [one for one in chart.presses if one.is_as_expected][: chart.learn]
+    made = [press for press in chart.presses if press.is_as_expected][: chart.learn]
     if chart.limits is None or chart.presses[number] in made:
         return "point"
-    said = signals(chart.values[: number + 1], chart.limits)
-    if Signal.BEYOND_LIMIT in said:
+    chart_signals = signals(chart.values[: number + 1], chart.limits)
+    if Signal.BEYOND_LIMIT in chart_signals:
         return "out"
-    return "said" if said else "point"
+    return "said" if chart_signals else "point"
 
 
 def _level(y: float, value: float, kind: str) -> str:

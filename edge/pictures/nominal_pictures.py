@@ -59,7 +59,7 @@ class NominalPictures:
         h, w = frames.shape[1:3]
         scale = min(1.0, (_MEAN_SIDE if is_mean else _SIDE) / max(h, w))
         size = _whole_blocks(w * scale), _whole_blocks(h * scale)
-        strip = np.concatenate([_resize(np.asarray(one, np.float32), size) for one in pictures])
+        strip = np.concatenate([_resize(np.asarray(picture, np.float32), size) for picture in pictures])
         bgr = np.clip(np.rint(strip[..., ::-1]), 0, 255).astype(np.uint8)
         jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
         return cls(jpeg, size, tuple(name[:_LONGEST_NAME] for name in names))

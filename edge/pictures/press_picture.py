@@ -156,8 +156,8 @@ def draw_press(
         _draw_compared(sheet[_HEADER + height : _HEADER + height + more], compared, relative)
     _draw_legend(sheet[_HEADER : _HEADER + height, 2 * width + 2 * _GAP :], caption.threshold)
     _draw_header(sheet, caption)
-    said = (caption.deviation, caption.part, caption.station, caption.time, caption.press_id, caption.drawn)
-    foot = "   ".join(one for one in said if one)
+    texts = (caption.deviation, caption.part, caption.station, caption.time, caption.press_id, caption.drawn)
+    foot = "   ".join(text for text in texts if text)
     _write(sheet, foot, 6, sheet.shape[0] - 9, 0.42)
     return sheet
 

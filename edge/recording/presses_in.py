@@ -19,7 +19,7 @@ def find_profile(recording: Recording, name: str | None = None) -> SensorProfile
     """Return the profile of this name, else the one of the recording's name, else one for frames of its size."""
     header = recording.header
     known = PROFILES.get(name or "") or PROFILES.get(header.profile or "")
-    return known or next((one for one in PROFILES.values() if one.native == header.mode), None)
+    return known or next((profile for profile in PROFILES.values() if profile.native == header.mode), None)
 
 
 def find_settled(recording: Recording, number: int) -> PressSettled:
@@ -50,11 +50,11 @@ def presses_in(recording: Recording, profile: SensorProfile) -> tuple[str, list[
                 touches.append(event.touch)
                 reliefs.append(event.findings.relief.area)
     presses = counts[PressSettled] + counts[PressNotSettled]
-    found = f"{write_count(presses, 'press')}, {counts[PressSettled]} of them at rest"
+    summary = f"{write_count(presses, 'press')}, {counts[PressSettled]} of them at rest"
     if detector.corrupt:
-        found += f"; {write_count(detector.corrupt, 'frame')} refused, the first: {detector.first_fault}"
+        summary += f"; {write_count(detector.corrupt, 'frame')} refused, the first: {detector.first_fault}"
     doubt = foreign_free_gel(touches, reliefs)
     doubts = [] if doubt is None else [doubt]
     if counts[ReferenceCorrected]:
         doubts.append("it begins with a part on the gel; begin with the gel free for two seconds")
-    return found, doubts
+    return summary, doubts

@@ -56,16 +56,16 @@ def backups_in(folder: Path, database: Path) -> list[Path]:
     """
     own = _read_ledger_id(database)
     copies = sorted(folder.glob(_name_pattern(database)))
-    return [one for one in copies if own is not None and _read_ledger_id(one) == own]
+    return [copy for copy in copies if own is not None and _read_ledger_id(copy) == own]
 
 
 def find_leftovers(folder: Path, database: Path) -> list[Path]:
     """Find what killed backups left in this folder: unfinished copies that nobody has written to for a day."""
     leftovers, since_s = [], time.time() - 86_400
-    for one in folder.glob(f"{_name_pattern(database)}.*.part*"):
+    for leftover in folder.glob(f"{_name_pattern(database)}.*.part*"):
         with suppress(FileNotFoundError):  # it has become a copy just now
-            if one.stat().st_mtime < since_s:
-                leftovers.append(one)
+            if leftover.stat().st_mtime < since_s:
+                leftovers.append(leftover)
     return leftovers
 
 

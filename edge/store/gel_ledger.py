@@ -141,7 +141,8 @@ def mount(
     ids = {row[0] for row in connection.execute("SELECT gel_id FROM gels WHERE serial = ?", (serial,))}
     # After the highest one: of a database that was lost only the mounted gel is known, and those before it had ids too.
     numbers = (name.removeprefix(f"{serial}-") for name in ids if name.startswith(f"{serial}-"))
-    gel_id = gel_id or f"{serial}-{1 + max((int(one) for one in numbers if one.isdecimal()), default=0)}"
+    newest = max((int(number) for number in numbers if number.isdecimal()), default=0)
+    gel_id = gel_id or f"{serial}-{newest + 1}"
     if gel_id in ids:
         raise StoreError(
             f"gel '{gel_id}' was already used on sensor {serial}; give the new gel another id, or none"

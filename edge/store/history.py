@@ -120,7 +120,7 @@ def read_history(path: Path, query: HistoryQuery) -> Iterator[HistoryRow]:
     limit = -1 if query.newest is None else query.newest
     columns = ", ".join("running_ns / 1e9" if name == "running_s" else name for name in _STORED)
     with open_read_only(path, "reading the history") as connection:
-        said = read_verdicts(connection)
+        verdicts = read_verdicts(connection)
         rows = connection.execute(
             f"SELECT {columns} FROM presses WHERE number IN (SELECT number FROM presses WHERE {condition} "
             "ORDER BY number DESC LIMIT ?) ORDER BY number",
@@ -128,7 +128,7 @@ def read_history(path: Path, query: HistoryQuery) -> Iterator[HistoryRow]:
         )
         for row in rows:
             stored = dict(zip(_STORED, row, strict=True))
-            settled = settle(said.get(stored["press_id"], ()))
+            settled = settle(verdicts.get(stored["press_id"], ()))
             people = (settled.saying, settled.kind, settled.person) if settled else (None, None, None)
             stored.update(zip(_OF_PEOPLE, people, strict=True))
             yield HistoryRow(**stored)

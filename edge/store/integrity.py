@@ -142,8 +142,8 @@ def _outbox(connection: sqlite3.Connection) -> Iterator[Finding]:
     totals = connection.execute("SELECT rows, bytes FROM outbox_size").fetchone()
     counted = connection.execute("SELECT count(*), coalesce(sum(bytes), 0) FROM outbox").fetchone()
     if totals != counted:
-        said = f"{counted[0]} rows of {counted[1]} bytes, its totals say {totals[0]} and {totals[1]}"
-        yield Finding("outbox", f"it has {said}")
+        mismatch = f"{counted[0]} rows of {counted[1]} bytes, its totals say {totals[0]} and {totals[1]}"
+        yield Finding("outbox", f"it has {mismatch}")
     if orphans := _count(
         connection, "SELECT count(*) FROM settled WHERE row_id NOT IN (SELECT row_id FROM outbox)"
     ):

@@ -319,11 +319,11 @@ class Outbox:
 
     @staticmethod
     def _queue_again(connection: sqlite3.Connection, sink: str, rows: Sequence[tuple[int]]) -> list[int]:
-        found = [row_id for (row_id,) in rows]
+        row_ids = [row_id for (row_id,) in rows]
         connection.executemany(
-            "DELETE FROM settled WHERE row_id = ? AND sink = ?", [(row_id, sink) for row_id in found]
+            "DELETE FROM settled WHERE row_id = ? AND sink = ?", [(row_id, sink) for row_id in row_ids]
         )
-        return found
+        return row_ids
 
     @staticmethod
     def _settle(connection: sqlite3.Connection, row_id: int, sink: str, refusal: str | None) -> None:

@@ -35,7 +35,7 @@ def read_verdicts(
 ) -> dict[str, list[PersonVerdict]]:
     """Read what was said of each press by its id, oldest first. since_ns: wall clock; only what was said since then, in
     a time that does not grow with what was said before. press_id: only of this press."""
-    said: dict[str, list[PersonVerdict]] = defaultdict(list)
+    verdicts: dict[str, list[PersonVerdict]] = defaultdict(list)
     before = "SELECT act_id FROM acts WHERE time_ns < ? ORDER BY act_id DESC LIMIT 1"
     rows = connection.execute(
         f"SELECT time_ns, who, arguments FROM acts NOT INDEXED WHERE act_id > coalesce(({before}), 0) "
@@ -45,8 +45,8 @@ def read_verdicts(
     for time_ns, who, arguments in rows:
         given = json.loads(arguments)
         verdict = PersonVerdict(given["press_id"], time_ns, _name(who), given["verdict"], given.get("kind"))
-        said[verdict.press_id].append(verdict)
-    return dict(said)
+        verdicts[verdict.press_id].append(verdict)
+    return dict(verdicts)
 
 
 def read_spoken_of(connection: sqlite3.Connection, after: int) -> tuple[int, set[str]]:

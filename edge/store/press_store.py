@@ -370,8 +370,8 @@ class Store:
 
     def _count(self, connection: sqlite3.Connection, press: PressRecord) -> GelRecord:
         """Count a press on the mounted gel, the first one of an unknown sensor, and return it."""
-        one = (press.serial, press.time_ns, press.wear_index, self._warn_fraction)
-        if (gel := ledger.count_press(connection, *one)) is not None:
+        arguments = (press.serial, press.time_ns, press.wear_index, self._warn_fraction)
+        if (gel := ledger.count_press(connection, *arguments)) is not None:
             return gel
         self._mount_first(connection, press.serial, press.time_ns)
         return self._count(connection, press)

@@ -36,11 +36,11 @@ def read_judged_twice(
 ) -> tuple[list[JudgedTwice], list[Unjudged]]:
     """Read the presses that a shadow has judged beside a bundle, oldest first, and those of the same part that it has
     not, of damage and of these that it has learnt."""
-    said = read_verdicts(connection)
-    damaged = {key for key, words in said.items() if any(word.saying == "damaged" for word in words)}
+    verdicts = read_verdicts(connection)
+    damaged = {key for key, words in verdicts.items() if any(word.saying == "damaged" for word in words)}
 
     def settled(press_id: str) -> str | None:
-        return _settle(said.get(press_id, ()))
+        return _settle(verdicts.get(press_id, ()))
 
     rows = connection.execute(
         "SELECT press_id, verdict, json_extract(shadow, '$.verdict') FROM presses WHERE part = ? AND position IS ? "
@@ -65,8 +65,8 @@ def read_judged_twice(
 def read_learnt(connection: sqlite3.Connection, names: Iterable[str]) -> dict[str, tuple[str, str]]:
     """Read which presses that people call good a bundle has learnt, with sensor and gel of each. names: of the presses
     of its fit."""
-    said, known = read_verdicts(connection), {PurePath(name).stem for name in names}
-    good = [press_id for press_id in known & said.keys() if _settle(said[press_id]) == "good"]
+    verdicts, known = read_verdicts(connection), {PurePath(name).stem for name in names}
+    good = [press_id for press_id in known & verdicts.keys() if _settle(verdicts[press_id]) == "good"]
     query = "SELECT serial, gel_id FROM presses WHERE press_id = ?"
     rows = {press_id: connection.execute(query, (press_id,)).fetchone() for press_id in good}
     return {press_id: row for press_id, row in rows.items() if row is not None}

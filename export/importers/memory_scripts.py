@@ -78,10 +78,10 @@ class SpadeFeatures:
         except FitError as error:
             raise ConfigError(f"{file.path}: {error}") from error
         how = "divided by their length" if is_normalised else "as they are"
-        said = f"{counts[taps[0]]} presses, features {how}"
+        sentence = f"{counts[taps[0]]} presses, features {how}"
         head = spade.head(grid, bank, parameters)
         values = vars(parameters)
-        return Imported("spade", "features of SPADE", trunk, head, bank, grid, values, says=(said,))
+        return Imported("spade", "features of SPADE", trunk, head, bank, grid, values, says=(sentence,))
 
 
 class FapmPickle:
@@ -113,9 +113,9 @@ class FapmPickle:
         )
         names = [name for name in arrays if name.endswith(("_near", "_far"))]
         bank = settings.bank(arrays, *names)
-        said = "coarse distances are added in the release's order of rows (fusion=rows)"
+        sentence = "coarse distances are added in the release's order of rows (fusion=rows)"
         head, values = fapm.head(grid, bank, parameters), vars(parameters)
-        return Imported("fapm", "prototypes of FAPM", trunk, head, bank, grid, values, says=(said,))
+        return Imported("fapm", "prototypes of FAPM", trunk, head, bank, grid, values, says=(sentence,))
 
 
 class InreachPoints:
@@ -145,8 +145,8 @@ class InreachPoints:
         trunk, grid = settings.cut_trunk(file.path, parameters.taps, "nominal points alone")
         bank = settings.centred_bank(points, BINS)
         head = inreach.head(grid, bank, parameters)
-        source, values, said = "nominal points of InReaCh", vars(parameters), f"{len(points)} points"
-        return Imported("inreach", source, trunk, head, bank, grid, values, says=(said,))
+        source, values, sentence = "nominal points of InReaCh", vars(parameters), f"{len(points)} points"
+        return Imported("inreach", source, trunk, head, bank, grid, values, says=(sentence,))
 
 
 spade_features, fapm_pickle, inreach_points = SpadeFeatures(), FapmPickle(), InreachPoints()

@@ -32,12 +32,12 @@ class FeatureCase:
     @property
     def kind(self) -> type[PressStage]:
         """Its class."""
-        found = registry.feature(self.name)
-        is_stage = isinstance(found, type) and issubclass(found, PressStage)
+        feature = registry.feature(self.name)
+        is_stage = isinstance(feature, type) and issubclass(feature, PressStage)
         require(
-            is_stage, f"'{self.name}' of gelgate.features is {found!r:.80}, expected a class of PressStage"
+            is_stage, f"'{self.name}' of gelgate.features is {feature!r:.80}, expected a class of PressStage"
         )
-        return found  # type: ignore[return-value]
+        return feature  # type: ignore[return-value]
 
     @contextmanager
     def station(self, first: PressStage | None = None) -> Iterator[PlayedStation]:
@@ -72,9 +72,11 @@ def check_presses_without_a_score(case: FeatureCase) -> None:
     """A press that is rejected, and one that could not be scored, are recorded as such."""
     with case.station(Refusing()) as station:
         station.play()
-        found = [(result.verdict, result.error) for result in station.results]
-    require(found[:2] == [("rejected", None), (None, Refusing.fault)], f"they are recorded as {found[:2]}")
-    require(len(found) == len(PRESSES), f"{len(found)} of {len(PRESSES)} presses are recorded")
+        records = [(result.verdict, result.error) for result in station.results]
+    require(
+        records[:2] == [("rejected", None), (None, Refusing.fault)], f"they are recorded as {records[:2]}"
+    )
+    require(len(records) == len(PRESSES), f"{len(records)} of {len(PRESSES)} presses are recorded")
 
 
 def check_alarms_are_declared(case: FeatureCase) -> None:
@@ -88,10 +90,11 @@ def check_alarms_are_declared(case: FeatureCase) -> None:
 def check_words(case: FeatureCase) -> None:
     """In each language a text has the values of the English one, in braces."""
     for language, words in case.kind.words.items():
-        for text, said in words.items():
-            values, found = ({*re.findall(r"\{\w+\}", one)} for one in (text, said))
+        for text, translation in words.items():
+            values, translated_values = ({*re.findall(r"\{\w+\}", one)} for one in (text, translation))
             require(
-                values == found, f"'{text}' has the values {sorted(values)}, in '{language}' {sorted(found)}"
+                values == translated_values,
+                f"'{text}' has the values {sorted(values)}, in '{language}' {sorted(translated_values)}",
             )
 
 

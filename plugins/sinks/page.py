@@ -37,15 +37,15 @@ class PageOptions(PageSettings):
 
     def warnings(self) -> list[str]:
         """Say what is open to others, and a port that is taken. Errors: ConfigError for a token that cannot be used."""
-        said, family = super().warnings(), socket.AF_INET6 if ":" in self.bind else socket.AF_INET
+        sentences, family = super().warnings(), socket.AF_INET6 if ":" in self.bind else socket.AF_INET
         try:
             socket.create_server((self.bind, self.port), family=family).close()
         except OSError as error:
-            said.append(
+            sentences.append(
                 f"{self.bind}:{self.port} cannot be served now ({os.strerror(error.errno or 0)}): this station serves "
                 "it where it runs; else presses are inspected without the page until it is free: choose another port"
             )
-        return said
+        return sentences
 
 
 class PageSink:

@@ -60,8 +60,8 @@ class Plugin(DevicePlugin[DeviceOptions]):
     def discover(self, options: DeviceOptions) -> Sequence[DiscoveredDevice]:
         """List what `gelgate devices` prints."""
         identity = identify(options)
-        found = DiscoveredDevice(str(options.folder), identity.product, identity)
-        return [found] if options.folder.is_dir() else []
+        device = DiscoveredDevice(str(options.folder), identity.product, identity)
+        return [device] if options.folder.is_dir() else []
 
     def open(self, options: DeviceOptions, clock: Clock) -> Device:
         """Open it. Errors: DeviceNotFound."""

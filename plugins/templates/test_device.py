@@ -36,7 +36,7 @@ class Camera:
 
     def open(self, payloads: Sequence[bytes], *, real_time: bool = False) -> Device:
         self._options.folder.mkdir()
-        self._pending = [(n * PERIOD_S if real_time else 0.0, one) for n, one in enumerate(payloads)]
+        self._pending = [(n * PERIOD_S if real_time else 0.0, payload) for n, payload in enumerate(payloads)]
         self._save(0.0)
         return plugin.open(self._options, self.clock)
 
@@ -59,7 +59,9 @@ def test_it_is_found_while_its_folder_is_there(tmp_path: Path) -> None:
     """By its folder's name, which is its serial."""
     there, gone = DeviceOptions(folder=tmp_path), DeviceOptions(folder=tmp_path / "gone")
 
-    assert [str(one.identity and one.identity.serial) for one in plugin.discover(there)] == [tmp_path.name]
+    assert [str(device.identity and device.identity.serial) for device in plugin.discover(there)] == [
+        tmp_path.name
+    ]
     assert plugin.discover(gone) == []
     with pytest.raises(DeviceNotFound, match="gone"):
         plugin.open(gone, ManualClock())

@@ -17,5 +17,5 @@ def test_it_counts_the_presses_of_a_shift(tmp_path: Path) -> None:
         station.play()
         assert station.ask("template") == {"shift 1": 3}
         assert station.raised == ["template"]
-        said = [result.feature["template"] for result in station.results]
-        assert said == [{"before": 0}, {"before": 1}, {"before": 2}]
+        entries = [result.feature["template"] for result in station.results]
+        assert entries == [{"before": 0}, {"before": 1}, {"before": 2}]

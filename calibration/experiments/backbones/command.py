@@ -58,13 +58,15 @@ def evaluate_backbone(
         registry.detector(method)  # one that is not known is refused before the folder is made
     make_folder(out)
     with progress("trials", sum(len(chosen.trials) for chosen in sets.values())) as advance:
-        found = evaluate(graphs, sets, detectors, replicates=replicates, workers=workers, advance=advance)
-    found["trunks"] = {
+        evaluation = evaluate(
+            graphs, sets, detectors, replicates=replicates, workers=workers, advance=advance
+        )
+    evaluation["trunks"] = {
         name: {"sha256": sha256(graph).hexdigest(), "bytes": len(graph)} for name, graph in graphs.items()
     }
     file = out / f"{tactile_resnet18.name}_evaluation.json"
-    write_atomically(file, (json.dumps(found, indent=1) + "\n").encode())
-    typer.echo(evaluation_tables(found))
+    write_atomically(file, (json.dumps(evaluation, indent=1) + "\n").encode())
+    typer.echo(evaluation_tables(evaluation))
 
 
 def _choose_sets(only: list[str], trials: int) -> dict[str, EvaluationSet]:

@@ -65,11 +65,11 @@ def evaluate(
         for chosen in sets.values()
         for make in chosen.trials
     ]
-    found = []
+    measurements = []
     for measured in in_order(call, tasks, workers):
-        found.append(measured)
-        advance(len(found))
-    results = iter(found)
+        measurements.append(measured)
+        advance(len(measurements))
+    results = iter(measurements)
     return {
         "format": FORMAT,
         "replicates": replicates,
@@ -173,14 +173,14 @@ def evaluation_tables(evaluation: Mapping[str, Any]) -> str:
     for method, chosen in evaluation["settings"].items():
         shown = (f"{name} {_short(chosen[name])}" for name in _SHOWN if chosen.get(name) is not None)
         text.append(f"- {method}: {', '.join(shown)}")
-    for found in evaluation["sets"].values():
-        text.append(f"\n### {found['title']}\n\n{found['text']}\n")
-        names = list(dict.fromkeys(name for row in found["rows"] for name in row["measures"]))
+    for trial_set in evaluation["sets"].values():
+        text.append(f"\n### {trial_set['title']}\n\n{trial_set['text']}\n")
+        names = list(dict.fromkeys(name for row in trial_set["rows"] for name in row["measures"]))
         lines = [
             (row["backbone"], row["detector"], *(_interval(row["measures"].get(name)) for name in names))
-            for row in found["rows"]
+            for row in trial_set["rows"]
         ]
-        text.append(f"Trials: {', '.join(found['trials'])}.\n")
+        text.append(f"Trials: {', '.join(trial_set['trials'])}.\n")
         text.append(markdown_table(["backbone", "detector", *names], lines).rstrip())
     return "\n".join(text) + "\n"
 

@@ -66,9 +66,9 @@ def detectability(
     if write:
         refuse_existing(bundle, overwrite=True)
     own, sensor = loaded.manifest, loaded.profile
-    found = find_sources(sources, part or own.part, position or own.position, sensor.size)
+    press_sources = find_sources(sources, part or own.part, position or own.position, sensor.size)
     how: dict[str, Any] = {"no_contact": no_contact or (), "resize": resize, "pattern": pattern}
-    shown = read_presses(found.paths, sensor, loaded.region, specimens=found.specimens, **how)
+    shown = read_presses(press_sources.paths, sensor, loaded.region, specimens=press_sources.specimens, **how)
     make_folder(output)
     planned, rows = _measure(loaded, shown, settings, Rows(output / TRIALS, _warn))
     curves = results(planned, rows)
@@ -106,14 +106,14 @@ def _describe_plan(planned: Plan) -> str:
         "folds": "learnt presses, each judged by a bank fitted without it",
         "third party's graph": "presses, judged by the third party's graph",
     }[planned.by]
-    said = (
+    sentence = (
         f"{len(planned.places)} places of {planned.settings.spacing_mm:g} mm, {len(planned.presses)} {judged}"
     )
     if planned.false_alarms:
-        said += f"; left out, because they fail without damage: {', '.join(planned.false_alarms)}"
+        sentence += f"; left out, because they fail without damage: {', '.join(planned.false_alarms)}"
     if planned.refused:
-        said += f"; left out, because their colours are of another sensor: {', '.join(planned.refused)}"
-    return said
+        sentence += f"; left out, because their colours are of another sensor: {', '.join(planned.refused)}"
+    return sentence
 
 
 def _warn(sentence: str) -> None:

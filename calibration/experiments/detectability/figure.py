@@ -38,11 +38,11 @@ def draw_map(planned: Plan, found: list[KindResult]) -> bytes:
 
     figure = Figure(figsize=(4.6 * len(found) + 1.4, 6), dpi=130, layout="constrained")
     axes = figure.subplots(1, len(found), squeeze=False)[0]
-    sizes = [pod.a90_95_mm for one in found for pod in one.places.values() if pod.a90_95_mm]
+    sizes = [pod.a90_95_mm for rows in found for pod in rows.places.values() if pod.a90_95_mm]
     low, high = (min(sizes), max(sizes)) if sizes else (0.01, 0.4)
     scale = ScalarMappable(LogNorm(low / 1.02, high * 1.02), colormaps["viridis_r"])
-    for axis, one in zip(axes, found, strict=True):
-        _draw_panel(axis, planned, one, scale)
+    for axis, kind in zip(axes, found, strict=True):
+        _draw_panel(axis, planned, kind, scale)
     bar = figure.colorbar(scale, ax=list(axes), format="%g", shrink=0.8)
     bar.ax.yaxis.set_minor_formatter("{x:g}")
     bar.set_label("a90/95, mm (found in 90 % of cases, 95 % sure)")

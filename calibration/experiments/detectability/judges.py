@@ -49,11 +49,11 @@ def smallest_found(is_found: Callable[[float], bool], sizes: Sequence[float]) ->
     """
     if not is_found(sizes[-1]):
         return sizes[-1], math.inf
-    missed, found = -1, len(sizes) - 1
-    while found - missed > 1:
-        middle = (missed + found) // 2
-        missed, found = (missed, middle) if is_found(sizes[middle]) else (middle, found)
-    return (0.0 if missed < 0 else sizes[missed]), sizes[found]
+    missed, hit = -1, len(sizes) - 1
+    while hit - missed > 1:
+        middle = (missed + hit) // 2
+        missed, hit = (missed, middle) if is_found(sizes[middle]) else (middle, hit)
+    return (0.0 if missed < 0 else sizes[missed]), sizes[hit]
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,9 +74,9 @@ def fit_pod(low: Sequence[float], high: Sequence[float], largest_mm: float) -> P
         raise ValueError("a trial is an interval (low, high] of sizes in mm, 0 <= low < high")
     if not np.isfinite(ends[0]).all():
         raise ValueError("the largest size that was missed is finite")
-    trials, found = len(low), int(np.isfinite(ends[1]).sum())
-    if trials < MIN_TRIALS or found == 0:
-        return Pod(trials, found, "too few" if trials < MIN_TRIALS else "blind")
+    trials, hits = len(low), int(np.isfinite(ends[1]).sum())
+    if trials < MIN_TRIALS or hits == 0:
+        return Pod(trials, hits, "too few" if trials < MIN_TRIALS else "blind")
     different, counts = np.unique(ends, axis=1, return_counts=True)
     with np.errstate(divide="ignore"):
         logs = np.log(different)
@@ -86,7 +86,7 @@ def fit_pod(low: Sequence[float], high: Sequence[float], largest_mm: float) -> P
 
     if logs[0].max() < (first_found := float(logs[1].min())):  # a step explains every trial
         bound = _within(_upper(likelihood, first_found, 0.0), largest_mm)
-        return Pod(trials, found, "separated", _within(first_found, largest_mm), bound)
+        return Pod(trials, hits, "separated", _within(first_found, largest_mm), bound)
     known = logs[np.isfinite(logs)]
     limits = float(known.min()) - _BEYOND, float(known.max()) + _BEYOND
     best = optimize.minimize_scalar(
@@ -96,7 +96,7 @@ def fit_pod(low: Sequence[float], high: Sequence[float], largest_mm: float) -> P
     bound = _within(_upper(likelihood, x90, -float(best.fun)), largest_mm)
     slope, _ = _steepest(logs, counts, x90)
     median = math.exp(x90 - Z90 / slope)
-    return Pod(trials, found, "fitted", _within(x90, largest_mm), bound, median, 1 / slope)
+    return Pod(trials, hits, "fitted", _within(x90, largest_mm), bound, median, 1 / slope)
 
 
 def _steepest(logs: F64, counts: NDArray[np.int64], x90: float) -> tuple[float, float]:

@@ -29,14 +29,14 @@ class KindResult:
 
 def results(planned: Plan, rows: Sequence[Row]) -> list[KindResult]:
     """Fit the curves of each kind."""
-    found = []
+    curves = []
     for kind in planned.settings.kinds:
         own = [row for row in rows if row["kind"] == kind]
         at = {place: [row for row in own if tuple(row["place"]) == place] for place in planned.places}
-        found.append(
+        curves.append(
             KindResult(kind, _pod(kind, own), {place: _pod(kind, some) for place, some in at.items()})
         )
-    return found
+    return curves
 
 
 def _pod(kind: str, rows: Sequence[Row]) -> Pod:

@@ -176,7 +176,7 @@ def plan(
         )
     kept, failing = _passing(bundle, edited, settings.presses)
     grid = PlaceGrid(station.field, settings.spacing_mm)
-    places = touched_places(grid, [one.contact for one in kept.values()])
+    places = touched_places(grid, [row.contact for row in kept.values()])
     if not places:
         raise DatasetError(
             f"the {len(kept)} presses touch no common place of the region {bundle.region}; press one position, or "

@@ -118,9 +118,9 @@ def _read_stored(database: Path, study: str | None) -> tuple[str, Sequence[Study
     chosen = known[-1][0] if study is None else study
     if study is not None and Path(study).is_file():
         chosen = read_plan(Path(study).read_text(encoding="utf-8"), study).study_id
-    found = read_study(database, chosen)
-    if found is None:
+    stored_study = read_study(database, chosen)
+    if stored_study is None:
         raise DatasetError(
-            f"database {database} has no study '{chosen}'; it has {', '.join(one for one, _, _ in known)}"
+            f"database {database} has no study '{chosen}'; it has {', '.join(plugin for plugin, _, _ in known)}"
         )
-    return found
+    return stored_study

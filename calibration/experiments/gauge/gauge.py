@@ -227,11 +227,11 @@ def _sources(scores: F64) -> dict[str, Source]:
     both = _source("interaction", repeats * (inside**2).sum(), (pieces - 1) * (operators - 1), error)
     ss_operator = pieces * repeats * ((of_operator - mean) ** 2).sum()
     ss_piece = operators * repeats * ((of_piece - mean) ** 2).sum()
-    found = (
+    factors = (
         _source("operators", ss_operator, operators - 1, both),
         _source("pieces", ss_piece, pieces - 1, both),
     )
-    return {source.name: source for source in (*found, both, error)}
+    return {source.name: source for source in (*factors, both, error)}
 
 
 def _source(name: str, ss: float, df: int, against: Source | None = None) -> Source:

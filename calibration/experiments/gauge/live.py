@@ -41,13 +41,13 @@ class StudyLabels(PressStage):
     """Why the study cannot go on."""
 
     def __post_init__(self) -> None:
-        counted = [one for one in self.rows if not one.is_void]
-        done = {one.step for one in counted if one.verdict in SCORED}
+        counted = [row for row in self.rows if not row.is_void]
+        done = {press.step for press in counted if press.verdict in SCORED}
         # Places in the plan's order, from 0, that have no counted press with a score.
         self._open = [number for number in range(len(self.plan.order)) if number not in done]
         self._skipped: list[int] = []
         self._last: tuple[int, str] | None = None
-        self._before = [str(getattr(one, name)) for one in counted[:1] for name in ORIGIN.values()]
+        self._before = [str(getattr(press, name)) for press in counted[:1] for name in ORIGIN.values()]
         self._has_asked = False
 
     @property

@@ -57,7 +57,7 @@ class StudyPlan(_Entry):
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
-        for what, names in (("operator", self.operators), ("piece", [one.name for one in self.pieces])):
+        for what, names in (("operator", self.operators), ("piece", [piece.name for piece in self.pieces])):
             if twice := [name for name, n in Counter(names).items() if n > 1]:
                 raise ValueError(f"the {what} '{twice[0]}' is there twice")
         wanted = {
@@ -66,8 +66,8 @@ class StudyPlan(_Entry):
             for piece in self.pieces
             for repeat in range(1, self.repeats + 1)
         }
-        found = Counter((step.operator, step.piece, step.repeat) for step in self.order)
-        if set(found) != wanted or set(found.values()) != {1}:
+        counts = Counter((step.operator, step.piece, step.repeat) for step in self.order)
+        if set(counts) != wanted or set(counts.values()) != {1}:
             raise ValueError(
                 f"order has {len(self.order)} presses, expected each operator with each piece in each repeat, once: "
                 f"{len(wanted)}"
@@ -167,7 +167,7 @@ class Material:
     def known(self) -> list[str] | None:
         """The truth of each analysed piece; None where it is not known of all."""
         known = [piece.known for piece in self.plan.pieces if piece.name in self.pieces]
-        return [one for one in known if one is not None] if None not in known else None
+        return [press for press in known if press is not None] if None not in known else None
 
 
 def material(plan: StudyPlan, rows: Sequence[StudyPress]) -> Material:
@@ -175,12 +175,12 @@ def material(plan: StudyPlan, rows: Sequence[StudyPress]) -> Material:
 
     Errors: DatasetError where no table of 2 x 2 x 2 is left, and for a change in the middle.
     """
-    counted = [one for one in rows if not one.is_void]
+    counted = [row for row in rows if not row.is_void]
     scored = [one for one in counted if one.verdict in SCORED and one.score is not None]
     _require_one_origin(scored)
     cells: dict[tuple[str, str], list[StudyPress]] = {}
-    for one in sorted(scored, key=lambda press: press.repeat):
-        cells.setdefault((one.piece, one.operator), []).append(one)
+    for study_press in sorted(scored, key=lambda press: press.repeat):
+        cells.setdefault((study_press.piece, study_press.operator), []).append(study_press)
     operators = tuple(name for name in plan.operators if any(name == one.operator for one in scored))
 
     def find_pieces(repeats: int) -> tuple[str, ...]:
@@ -211,9 +211,9 @@ def material(plan: StudyPlan, rows: Sequence[StudyPress]) -> Material:
 def _require_one_origin(scored: Sequence[StudyPress]) -> None:
     """Refuse mixed presses. Errors: DatasetError for two gels, bundles, sensors or positions."""
     for what, name in ORIGIN.items():
-        found = list(dict.fromkeys(str(getattr(one, name)) for one in scored))
-        if len(found) > 1:
+        origins = list(dict.fromkeys(str(getattr(press, name)) for press in scored))
+        if len(origins) > 1:
             raise DatasetError(
-                f"the study was pressed with more than one {what} ({', '.join(one[:16] for one in found)}): its scores "
-                "cannot be compared; make a new plan and press it with one"
+                f"the study was pressed with more than one {what} ({', '.join(one[:16] for one in origins)}): its "
+                "scores cannot be compared; make a new plan and press it with one"
             )

@@ -77,10 +77,10 @@ def _gaps(study: Material) -> Iterator[str]:
 
 def _gauge(study: Material) -> list[Section]:
     try:
-        found = gauge_by_anova(study.scores)
+        gauge = gauge_by_anova(study.scores)
     except ValueError as error:
         return [Section("Gauge R&R of the score", (f"There is none: {error}.",))]
-    return [_components(found), _variance(found)]
+    return [_components(gauge), _variance(gauge)]
 
 
 _NAMES = {
@@ -134,9 +134,9 @@ def _agreement(study: Material) -> Section:
     words = ", ".join(f"{number} {word}" for word, number in _count_verdicts(study))
     rows = []
     for number, name in enumerate(study.operators):
-        found = count_shares(study.verdicts[:, number], study.known)
-        errors = (_share(one)[0] for one in (found.misses, found.false_alarms))
-        rows.append((name, *_share(found.same), *_share(found.effectiveness), *errors))
+        shares = count_shares(study.verdicts[:, number], study.known)
+        errors = (_share(one)[0] for one in (shares.misses, shares.false_alarms))
+        rows.append((name, *_share(shares.same), *_share(shares.effectiveness), *errors))
     both = count_shares(study.verdicts.reshape(len(study.pieces), -1), study.known)
     rows.append(("all operators", *_share(both.same), *_share(both.effectiveness), "", ""))
     sentences = (f"Verdicts: {words}.", _NOT_KNOWN if study.known is None else _KNOWN)
@@ -162,15 +162,15 @@ _NOT_KNOWN = (
 
 def _kappas(study: Material) -> Section:
     by_operator = dict(zip(study.operators, study.verdicts.swapaxes(0, 1), strict=True))
-    found = {
+    kappas = {
         f"{one} and {other} (Cohen)": cohen_kappa(by_operator[one], by_operator[other])
         for one, other in combinations(study.operators, 2)
     }
     if study.known is not None:
         for name, own in by_operator.items():
             truth = np.broadcast_to(np.array(study.known)[:, None], own.shape)
-            found[f"{name} and the known verdict (Cohen)"] = cohen_kappa(own, truth)
-    found["all decisions (Fleiss)"] = fleiss_kappa(study.verdicts.reshape(len(study.pieces), -1))
+            kappas[f"{name} and the known verdict (Cohen)"] = cohen_kappa(own, truth)
+    kappas["all decisions (Fleiss)"] = fleiss_kappa(study.verdicts.reshape(len(study.pieces), -1))
     sentences = ["AIAG: kappa above 0.75 is good agreement, below 0.40 poor."]
     if len(verdicts := _count_verdicts(study)) == 1:
         sentences.append(
@@ -178,7 +178,7 @@ def _kappas(study: Material) -> Section:
             "the other kind."
         )
     head = ("between", "kappa", "standard error", "agreement", "by chance")
-    rows = tuple((name, *_kappa(one)) for name, one in found.items())
+    rows = tuple((name, *_kappa(kappa)) for name, kappa in kappas.items())
     return Section("Kappa", tuple(sentences), head, rows)
 
 
@@ -191,18 +191,18 @@ def _kappa(found: Kappa) -> tuple[str, str, str, str]:
 
 def _drift(study: Material) -> Section:
     presses, title = study.presses, "Drift while the study ran"
-    found = drift(
-        [float(one.score or 0.0) for one in presses], [(one.piece, one.operator) for one in presses]
+    trend = drift(
+        [float(press.score or 0.0) for press in presses], [(press.piece, press.operator) for press in presses]
     )
-    if found is None:
+    if trend is None:
         return Section(title, ("There are too few presses to test it.",))
-    total, low, high = found.total
+    total, low, high = trend.total
     changed = (
         f"Each press wears the gel. Over {len(presses)} presses the score changed by {_number(total)} (95 %: "
-        f"{_number(low)} to {_number(high)}), p {found.p:.3f}; one score varies by {_number(found.sd)} around "
+        f"{_number(low)} to {_number(high)}), p {trend.p:.3f}; one score varies by {_number(trend.sd)} around "
         "that line."
     )
-    if found.p >= 0.05:
+    if trend.p >= 0.05:
         return Section(title, (changed, "No drift is found beyond chance."))
     times = abs(total) / (float(np.std(study.scores)) or 1.0)
     return Section(

@@ -108,8 +108,8 @@ def _client(address: str) -> Any:
 def _check_versions(client: Any, address: str) -> None:
     """Compare versions. Errors: ConfigError where scheduler or worker lack this program, or have another version."""
     own = version("gelgate")
-    found = {"scheduler": _of_scheduler(client), **client.run(version, "gelgate", on_error="return")}
-    wrong = sorted(f"{who}: {has}" for who, has in found.items() if has != own)
+    versions = {"scheduler": _of_scheduler(client), **client.run(version, "gelgate", on_error="return")}
+    wrong = sorted(f"{who}: {has}" for who, has in versions.items() if has != own)
     if wrong:
         raise ConfigError(
             f"{len(wrong)} processes of the cluster at '{address}' do not have gelgate {own} ({wrong[0]}); install "

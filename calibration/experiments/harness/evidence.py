@@ -134,8 +134,8 @@ class Mean:
 def summarise(values: Sample, span: Span = ANY) -> Mean:
     """Return the mean over parts of the means over seeds, with its interval. span: the range of the values."""
     parts: dict[str, list[tuple[float, bool]]] = {}
-    for (part, _), one in sorted(values.items()):
-        parts.setdefault(part, []).append(one)
+    for (part, _), seed_value in sorted(values.items()):
+        parts.setdefault(part, []).append(seed_value)
     arrays = [np.array([value for value, _ in ones]) for ones in parts.values()]
     draws = min(len(ones) if any(drawn for _, drawn in ones) else 1 for ones in parts.values())
     centres = np.array([array.mean() for array in arrays])

@@ -62,16 +62,16 @@ def take_features(
     way_on = "choose an empty --cache"
     claim(folder, "cache.json", {"format": CACHE_FORMAT}, "cache of features", ConfigError, way_on)
     entry = folder / _key(trunk, taps, pictures)
-    found = _open_entry(entry)
-    if found is None:
+    features = _open_entry(entry)
+    if features is None:
         _add(entry, lambda part: _write(part, trunk, taps, pictures, progress, threads))
-        found = _open_entry(entry)
-    if found is None:
+        features = _open_entry(entry)
+    if features is None:
         raise StoreError(
             f"'{entry}' was written and cannot be read; see to the disk, or choose another --cache"
         )
     progress(1.0)
-    return found
+    return features
 
 
 def _add(entry: Path, write: Callable[[Path], None]) -> None:

@@ -39,15 +39,15 @@ def find_curves(rows: "pd.DataFrame", x: str, measure: str) -> "pd.DataFrame":
     """
     import pandas as pd
 
-    found = {}
+    points = {}
     if x in rows and measure in rows:
         known = rows.dropna(subset=[x, measure])
         for key, cell in known.assign(drawn=are_drawn(known)).groupby(["part", "method", x]):
             values = cell[measure].to_numpy(np.float64)
             interval = mean_interval(values) if cell["drawn"].any() else (np.nan, np.nan)
-            found[key] = (values.mean(), *interval, cell["presses"].max())
-    index = pd.MultiIndex.from_tuples(list(found), names=["part", "method", x]) if found else None
-    return pd.DataFrame(list(found.values()), index, columns=["mean", "low", "high", "presses"])
+            points[key] = (values.mean(), *interval, cell["presses"].max())
+    index = pd.MultiIndex.from_tuples(list(points), names=["part", "method", x]) if points else None
+    return pd.DataFrame(list(points.values()), index, columns=["mean", "low", "high", "presses"])
 
 
 def draw_overview(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":
@@ -94,10 +94,10 @@ def draw_curves(
     x: the column that varies. panel: `part` or `method`, the other one has the lines. scale: of x.
     """
     line = "method" if panel == "part" else "part"
-    found = find_curves(rows, x, measure).reset_index()
-    figure, axes = _panels(found[panel].nunique() if len(found) else 0)
-    names = sorted(set(found.get(line, ())))
-    for axis, (title, group) in zip(axes, found.groupby(panel) if len(found) else (), strict=False):
+    curves = find_curves(rows, x, measure).reset_index()
+    figure, axes = _panels(curves[panel].nunique() if len(curves) else 0)
+    names = sorted(set(curves.get(line, ())))
+    for axis, (title, group) in zip(axes, curves.groupby(panel) if len(curves) else (), strict=False):
         for name, curve in group.groupby(line):
             colour, at = _COLOURS[names.index(name) % len(_COLOURS)], scale * curve[x].astype(float)
             axis.plot(at, curve["mean"], color=colour, label=name, linewidth=1.3)

@@ -112,7 +112,7 @@ def fit_cell(cell: Cell, *drawn: Drawn, also: Also = lambda each: {}) -> dict[st
     also: more columns, from the scores of each material. Errors: FitError, NotScorable.
     """
     detector, overrides = registry.detector(cell.method), overrides_for(cell.method, cell.mode, cell.backbone)
-    parameters, taken = detector.parameters(cell.mode, **overrides), [one.material.taken for one in drawn]
+    parameters, taken = detector.parameters(cell.mode, **overrides), [k.material.taken for k in drawn]
     grid = taken[0].grid_of(detector.taps(parameters))
     learnt = {
         tap: [of.features[tap][one.learnt] for of, one in zip(taken, drawn, strict=True)] for tap in grid.taps
@@ -120,7 +120,7 @@ def fit_cell(cell: Cell, *drawn: Drawn, also: Also = lambda each: {}) -> dict[st
     measured = fit_and_score(
         Learner(detector, grid, parameters, cell.seed, threads=1),
         Nominal({tap: np.asarray(np.concatenate(maps)) for tap, maps in learnt.items()}),
-        [one.material.test(one.tested) for one in drawn],
+        [k.material.test(k.tested) for k in drawn],
         also,
     )
     texts = [

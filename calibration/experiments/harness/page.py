@@ -151,12 +151,12 @@ def tabulate_medians(
     """
     paper = paper_medians(str(rows["study"].iloc[0]))
     medians = rows.pivot_table(measure, ["part", "method"], condition, aggfunc="median")
-    found = medians.index.to_frame(index=False)[["method", "part"]]
+    medians_table = medians.index.to_frame(index=False)[["method", "part"]]
     for value, heading in names.items():
         name = published.get(value, "")
         theirs = [paper.get((method, part, measure), {}).get(name) for part, method in medians.index]
-        found[heading] = list(map(_both, medians.get(value, [None] * len(found)), theirs))
-    return found.rename(columns={"method": COMPARED[measure.removesuffix("_common")]})
+        medians_table[heading] = list(map(_both, medians.get(value, [None] * len(medians_table)), theirs))
+    return medians_table.rename(columns={"method": COMPARED[measure.removesuffix("_common")]})
 
 
 def _both(ours: float | None, paper: float | None) -> str:
@@ -173,9 +173,9 @@ def compare_splits(rows: "pd.DataFrame", condition: str) -> "pd.DataFrame | None
     by = rows.pivot_table("aupro_001", [*keys, condition, "seed"], "split", aggfunc="mean")
     if set(by) != {"press", "specimen"} or (both := by.dropna()).empty:
         return None
-    found = both.groupby(level=keys).mean()
-    found.insert(0, "cells of each", both.groupby(level=keys).size())
-    found["difference"] = [f"{value:+.4f}" for value in found["press"] - found["specimen"]]
+    comparison = both.groupby(level=keys).mean()
+    comparison.insert(0, "cells of each", both.groupby(level=keys).size())
+    comparison["difference"] = [f"{value:+.4f}" for value in comparison["press"] - comparison["specimen"]]
     for split in ("press", "specimen"):
-        found[split] = found[split].map("{:.4f}".format)
-    return found.rename(columns={"press": "by press", "specimen": "by specimen"}).reset_index()
+        comparison[split] = comparison[split].map("{:.4f}".format)
+    return comparison.rename(columns={"press": "by press", "specimen": "by specimen"}).reset_index()

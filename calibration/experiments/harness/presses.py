@@ -104,9 +104,9 @@ def presses_of(dataset: Dataset, part: str, position: str) -> StudyPresses:
 def _view(presses: Sequence[LabelledPress], where: str) -> View:
     sizes = sorted({press.size for press in presses})
     if len(sizes) > 1:
-        found = ", ".join(f"{w}x{h}" for w, h in sizes)
+        sizes_text = ", ".join(f"{w}x{h}" for w, h in sizes)
         raise DatasetError(
-            f"{where} pictures of several sizes ({found}) at one position; give pictures of one size"
+            f"{where} pictures of several sizes ({sizes_text}) at one position; give pictures of one size"
         )
     if sizes[0] == SIZES["lr"]:
         return LR_VIEW

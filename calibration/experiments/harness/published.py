@@ -13,14 +13,14 @@ __all__ = ["paper_medians", "read_published", "stable_fraction"]
 def read_published() -> Mapping[str, Any]:
     """Return what the paper says: its source, parts without a fixture (its Table 1), and judgements (Table 4)."""
     file = resources.files("calibration.experiments.harness").joinpath("published.json")
-    found: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return found
+    paper: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return paper
 
 
 def stable_fraction(method: str) -> float | None:
     """Return the share of the nominal presses at which the paper fixes a method; None for one that it does not have."""
-    found: float | None = read_published()["stable_fraction"].get(method)
-    return found
+    fraction: float | None = read_published()["stable_fraction"].get(method)
+    return fraction
 
 
 @cache

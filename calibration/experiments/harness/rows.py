@@ -139,15 +139,15 @@ def rows_of_studies(path: Path, say: Callable[[str], None] = lambda sentence: No
 def _row(line: bytes, number: int, path: Path) -> dict[str, Any]:
     try:
         row = json.loads(line, parse_constant=_not_finite)
-        found, _ = row["format"], row["key"]
+        row_format, _ = row["format"], row["key"]
     except (ValueError, KeyError, TypeError):
         raise ConfigError(
             f"line {number} of '{path}' is not a row of results; name the rows.jsonl that `gelgate lab study` or "
             "`gelgate lab tradeoff` wrote"
         ) from None
-    if found != ROW_FORMAT:
+    if row_format != ROW_FORMAT:
         raise ConfigError(
-            f"'{path}' has rows of format {found!r}, this program reads format {ROW_FORMAT}; "
+            f"'{path}' has rows of format {row_format!r}, this program reads format {ROW_FORMAT}; "
             "choose another folder, or use the program that wrote them"
         )
     return dict(row)

@@ -80,11 +80,11 @@ def fit_and_score(
             np.concatenate([getattr(one, name) for one in each]) for name in ("maps", "scores", "head_ms")
         )
         masks, is_defective = (
-            np.concatenate([getattr(one, name) for one in tests]) for name in ("masks", "is_defective")
+            np.concatenate([getattr(test, name) for test in tests]) for name in ("masks", "is_defective")
         )
-        found = {**measures(maps, scores, masks, is_defective), **also(each)}
+        columns = {**measures(maps, scores, masks, is_defective), **also(each)}
     return {
-        **found,
+        **columns,
         "presses": nominal.presses,
         "test_nominal": int((~is_defective).sum()),
         "test_defective": int(is_defective.sum()),

@@ -120,13 +120,13 @@ class Options:
         wanted = {"study": "good-fraction", "method": method, "mode": mode, "backbone": backbone}
         for column, value in wanted.items():
             rows = rows[rows[column] == value] if column in rows else rows
-        found = None if rows.empty else stable_from(rows[rows["split"] == split]) or stable_from(rows)
-        if found is None:
+        fraction = None if rows.empty else stable_from(rows[rows["split"] == split]) or stable_from(rows)
+        if fraction is None:
             raise ConfigError(
                 f"the stable fraction of {method} ({mode}, {backbone}) is not known: '{file}' has no rows of "
                 "good-fraction with it; run `gelgate lab study good-fraction` into the same folder, or give --fraction"
             )
-        return found
+        return fraction
 
     def taps(self) -> dict[str, tuple[str, ...]]:
         """Return by backbone the taps that all methods read. Errors: ConfigError, FitError."""
@@ -153,8 +153,8 @@ class Evaluation:
 
     def check(self, cell: Cell, *materials: Any) -> None:
         """Check that presses can be held out, before any cell runs. Errors: DatasetError."""
-        for found in materials:
-            hold_out(found.presses, int(cell.setting("held_out")), cell.split)
+        for study_material in materials:
+            hold_out(study_material.presses, int(cell.setting("held_out")), cell.split)
 
     def measure(self, cell: Cell, *materials: Any) -> Mapping[str, Any]:
         """Return the columns of the cell's row, from the materials of its places."""
@@ -263,10 +263,10 @@ def check_same(rows: Iterable[Mapping[str, Any]], materials: Sequence[Material],
 def _check_facts(row: Mapping[str, Any], known: Material, path: Path) -> None:
     for name, what in _FACTS.items():
         now = known.facts[name]
-        found = row.get(name, now)
-        if found != now and not (name == "trunk_sha256" and found in _cuts(known.place)):
+        row_fact = row.get(name, now)
+        if row_fact != now and not (name == "trunk_sha256" and row_fact in _cuts(known.place)):
             raise ConfigError(
-                f"'{path}' has rows of {row['part']}/{row['position']} from {what} ({found}, now {now}); choose "
+                f"'{path}' has rows of {row['part']}/{row['position']} from {what} ({row_fact}, now {now}); choose "
                 "another output folder"
             )
 

@@ -90,7 +90,8 @@ class MountedGel:
         height, depth_mm = self.height(press)
         touched = self._renderer.imprint(height, depth_mm) > _PRESSED_MM
         return any(
-            bool((np.abs(one.relief(LR)) > 0.2 * abs(one.strength))[touched].any()) for one in self.specks
+            bool((np.abs(speck.relief(LR)) > 0.2 * abs(speck.strength))[touched].any())
+            for speck in self.specks
         )
 
     def nominal(self, piece: int, attempt: int) -> U8:
@@ -120,7 +121,7 @@ class MountedGel:
         previous = None if left is None else (left, _RESIDUE_S)
         age = self.month.wear(press.number - self.since)
         surface = self._renderer.surface(imprint, age, previous)
-        marked, coat = mark_gel(surface, (*scars, *((one, 1.0) for one in self.specks)), LR)
+        marked, coat = mark_gel(surface, (*scars, *((speck, 1.0) for speck in self.specks)), LR)
         return np.asarray(self._renderer.light(marked, age) * coat, np.float32)
 
     def _film(self, light: F32, press: PlannedPress) -> Iterator[bytes]:

@@ -186,10 +186,10 @@ class Month:
         wrong = max(1, round(self.presses * _WRONG_SHARE))
         drawn = rng.permutation(self.presses)[: damaged + wrong].tolist()
         kinds = [_NEW_KINDS[k % len(_NEW_KINDS)] for k in range(damaged)]
-        found: dict[int, tuple[Truth, str]] = {
+        truths: dict[int, tuple[Truth, str]] = {
             number: ("damaged", kind) for number, kind in zip(drawn, kinds, strict=False)
         }
-        return found | dict.fromkeys(drawn[damaged:], ("wrong", ""))
+        return truths | dict.fromkeys(drawn[damaged:], ("wrong", ""))
 
     @cached_property
     def _wander(self) -> F64:
@@ -218,11 +218,11 @@ class Month:
     @cached_property
     def _lasting(self) -> Sequence[Scar]:
         """Draw the scars of the month: under the part, where presses cut them."""
-        rng, number, found = self.streams("scars"), 0.0, list[Scar]()
+        rng, number, scars = self.streams("scars"), 0.0, list[Scar]()
         while (number := number + float(rng.exponential(_PRESSES_PER_SCAR))) < self.presses:
-            kind = _LASTING[len(found) % len(_LASTING)]
-            found.append(random_scar(kind, self._spot(rng), int(number), rng))
-        return found
+            kind = _LASTING[len(scars) % len(_LASTING)]
+            scars.append(random_scar(kind, self._spot(rng), int(number), rng))
+        return scars
 
     def _speck(self, number: int) -> Scar:
         """Draw what settles: a grain anywhere on the gel, or a hair."""

@@ -83,9 +83,9 @@ def learn_from_day(bundle: Path, fit: Path, station: Path, new: Path, date: str)
     fit: the folder of `fit_first`. station: that of the station, with its database. date: of the line's calendar, by
     which a station tells whether a bundle is older than its gel.
     """
-    said = io.StringIO()
+    output = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
             learn(
                 bundle=bundle,
                 sources=[fit / _PRESSES],
@@ -97,7 +97,7 @@ def learn_from_day(bundle: Path, fit: Path, station: Path, new: Path, date: str)
     except GelgateError as error:
         return str(error)
     finally:
-        log.debug("%s", said.getvalue())
+        log.debug("%s", output.getvalue())
     manifest = json.loads((new / MANIFEST).read_text(encoding="utf-8"))
     manifest["provenance"]["created"] = date
     (new / MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")

@@ -317,5 +317,5 @@ class DayStation:
     def _said(self, topic: str) -> Any:
         """Return what the station says now on a topic without a history; None where it is empty."""
         messages = self._loop.parts.publisher.retained_state.since(-1)
-        payload = next((one.payload for _, one in messages if one.topic == topic), b"")
+        payload = next((message.payload for _, message in messages if message.topic == topic), b"")
         return json.loads(payload) if payload else None

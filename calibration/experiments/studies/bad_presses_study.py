@@ -38,12 +38,12 @@ class BadPresses(Evaluation):
         halve(materials[0].presses.defective)
 
     def measure(self, cell: Cell, *materials: Material) -> dict[str, Any]:
-        (found,) = materials
-        held = hold_out(found.presses, int(cell.setting("held_out")), cell.split)
+        (material,) = materials
+        held = hold_out(material.presses, int(cell.setting("held_out")), cell.split)
         nominal = subset(held.pool, count_presses(cell, len(held.pool)), cell.seed)
-        bad, tested = halve(found.presses.defective)
+        bad, tested = halve(material.presses.defective)
         rows = mix_presses(nominal, bad, float(cell.setting("bad")), cell.seed)
-        measured = fit_cell(cell, Drawn(found, rows, np.concatenate([held.test, tested])))
+        measured = fit_cell(cell, Drawn(material, rows, np.concatenate([held.test, tested])))
         return {**measured, "bad_presses": int(np.isin(rows, bad).sum())}
 
 

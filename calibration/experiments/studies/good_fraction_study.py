@@ -35,12 +35,12 @@ class GoodFraction(Evaluation):
     """Evaluates a cell: fits on its share of the pool, and scores the test presses."""
 
     def measure(self, cell: Cell, *materials: Material) -> dict[str, Any]:
-        (found,) = materials
-        held = hold_out(found.presses, int(cell.setting("held_out")), cell.split)
+        (material,) = materials
+        held = hold_out(material.presses, int(cell.setting("held_out")), cell.split)
         rows = subset(held.pool, count_presses(cell, len(held.pool)), cell.seed)
-        specimens = found.presses.specimens
+        specimens = material.presses.specimens
         return {
-            **fit_cell(cell, Drawn(found, rows, found.presses.tested(held))),
+            **fit_cell(cell, Drawn(material, rows, material.presses.tested(held))),
             "pool": len(held.pool),
             "specimens": len({specimens[row] for row in rows}),
         }
@@ -102,15 +102,15 @@ def _tabulate_plateaus(rows: "pd.DataFrame") -> "pd.DataFrame | None":
 
     lines = []
     for method, group in rows.groupby("method"):
-        found = stable_from(group)
-        if found is None:
+        plateau = stable_from(group)
+        if plateau is None:
             continue
-        paper, is_last = stable_fraction(method), found == group["fraction"].max()
-        at = (found * group.groupby("part")["pool"].max()).round().clip(lower=1).astype(int)
+        paper, is_last = stable_fraction(method), plateau == group["fraction"].max()
+        at = (plateau * group.groupby("part")["pool"].max()).round().clip(lower=1).astype(int)
         lines.append(
             {
                 "method": method,
-                "plateau from": percent(found) + (" (the largest: no plateau)" if is_last else ""),
+                "plateau from": percent(plateau) + (" (the largest: no plateau)" if is_last else ""),
                 "the paper's": "-" if paper is None else percent(paper),
                 "presses": ", ".join(f"{part} {count}" for part, count in at.items()),
                 "of a gel's life, at most": f"{100 * (at.max() / DEFAULT_LIMIT_PRESSES):.0f} %",
@@ -121,15 +121,15 @@ def _tabulate_plateaus(rows: "pd.DataFrame") -> "pd.DataFrame | None":
 
 def _tabulate_levels(rows: "pd.DataFrame", size: str) -> "pd.DataFrame | None":
     """Return AU-PRO with its interval at a few fractions, or at all shots."""
-    found = find_curves(rows, size, "aupro_001")
-    if found.empty:
+    curves = find_curves(rows, size, "aupro_001")
+    if curves.empty:
         return None
-    every = sorted(found.index.get_level_values(size).unique())
+    every = sorted(curves.index.get_level_values(size).unique())
     shown = _spread(every) if size == "fraction" else every
-    texts = found.apply(_write_level, axis=1).unstack().reindex(columns=shown).fillna("-")
+    texts = curves.apply(_write_level, axis=1).unstack().reindex(columns=shown).fillna("-")
     if size == "shots":
         return texts.rename(columns="{:g}".format).reset_index()
-    texts.insert(0, "all presses", found.groupby(["part", "method"])["presses"].last().astype(int))
+    texts.insert(0, "all presses", curves.groupby(["part", "method"])["presses"].last().astype(int))
     return texts.rename(columns=dict(zip(shown, map(percent, shown), strict=True))).reset_index()
 
 
@@ -140,12 +140,12 @@ def _write_level(at: "pd.Series[float]") -> str:
 
 def _draw(rows: "pd.DataFrame") -> Figures:
     setup = "-".join(str(rows[name].iloc[0]) for name in ("mode", "backbone", "split"))
-    base, found = f"{STUDY}-" + re.sub(r"[^A-Za-z0-9_-]+", "-", setup), {}
+    base, figures = f"{STUDY}-" + re.sub(r"[^A-Za-z0-9_-]+", "-", setup), {}
     if rows["fraction"].nunique() > 1:
-        found[f"{base}.svg"] = partial(draw_overview, rows)
+        figures[f"{base}.svg"] = partial(draw_overview, rows)
     if "shots" in rows and rows["shots"].notna().any():
-        found[f"{base}-shots.svg"] = partial(draw_shots, rows)
-    return found
+        figures[f"{base}-shots.svg"] = partial(draw_shots, rows)
+    return figures
 
 
 def _spread(values: list[float]) -> list[float]:

@@ -104,8 +104,8 @@ def _compare(rows: "pd.DataFrame", study: _Study) -> dict[str, Any]:
     orders, pairs = _list_orders(rows, study)
     steps = []
     for before, after, title in study.steps:
-        found = effects(rows, study.column, before, after, study.names)
-        if len(known := found[found["paper"] != "-"]):
+        effect_table = effects(rows, study.column, before, after, study.names)
+        if len(known := effect_table[effect_table["paper"] != "-"]):
             columns = ["method", "part", "measure", "mean difference"]
             differing = known.loc[known["direction"] == "differ", columns].agg(" ".join, axis=1)
             steps.append(

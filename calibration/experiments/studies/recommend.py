@@ -89,11 +89,15 @@ class Answer:
             return f"undecided: {self.refusal}"
         if self.standing is None:
             return f"the rows do not cover this; `{self.question.command}` gives them"
-        found = self.standing
-        if found.best is not None:
-            return found.best
-        between = f" between {' and '.join((next(iter(found.means)), *found.rivals))}" if found.rivals else ""
-        return f"undecided{between}: {found.why}"
+        standing = self.standing
+        if standing.best is not None:
+            return standing.best
+        between = (
+            f" between {' and '.join((next(iter(standing.means)), *standing.rivals))}"
+            if standing.rivals
+            else ""
+        )
+        return f"undecided{between}: {standing.why}"
 
     @property
     def means(self) -> list[str]:
@@ -315,11 +319,11 @@ def recommend_method(
 
 def _choose(rows: "pd.DataFrame", column: str, wanted: str | None) -> "pd.DataFrame":
     """Return the rows with one value in a column. Errors: ConfigError where several are possible, or none has it."""
-    found = sorted(set(rows[column].astype(str)))
-    if wanted is None and len(found) > 1:
+    choices = sorted(set(rows[column].astype(str)))
+    if wanted is None and len(choices) > 1:
         raise ConfigError(
-            f"the rows have several values of {column}: {', '.join(found)}; choose one with --{column}"
+            f"the rows have several values of {column}: {', '.join(choices)}; choose one with --{column}"
         )
-    if wanted is not None and wanted not in found:
-        raise ConfigError(f"no row has the {column} '{wanted}'; the rows have {', '.join(found)}")
-    return rows[rows[column].astype(str) == (wanted or found[0])]
+    if wanted is not None and wanted not in choices:
+        raise ConfigError(f"no row has the {column} '{wanted}'; the rows have {', '.join(choices)}")
+    return rows[rows[column].astype(str) == (wanted or choices[0])]

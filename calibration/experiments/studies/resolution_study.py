@@ -89,12 +89,12 @@ COMMON = find_centre(_HR)
 
 def common_map(pixels: NDArray[Any], view: View) -> F32:
     """A score map (h, w) of a view in the common field of view: float32 (COMMON.height, COMMON.width)."""
-    found = np.asarray(pixels, np.float32)
+    score_map = np.asarray(pixels, np.float32)
     if view.region == LR_VIEW.region:
-        return np.asarray(cv2.resize(found, (COMMON.width, COMMON.height)), np.float32)
-    if found.shape != (_HR[1], _HR[0]):
-        found = np.asarray(cv2.resize(found, _HR), np.float32)
-    return np.ascontiguousarray(COMMON.crop(found))
+        return np.asarray(cv2.resize(score_map, (COMMON.width, COMMON.height)), np.float32)
+    if score_map.shape != (_HR[1], _HR[0]):
+        score_map = np.asarray(cv2.resize(score_map, _HR), np.float32)
+    return np.ascontiguousarray(COMMON.crop(score_map))
 
 
 STUDY = "resolution"

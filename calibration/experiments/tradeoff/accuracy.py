@@ -43,9 +43,9 @@ def measure_accuracy(
         "image_auroc": image_auroc_of(scores, truth.label, truth.weights),
         "recall_fpr01": recall_at(scores, truth.label, truth.weights, FALSE_ALARMS),
     }
-    found = {}
+    accuracy = {}
     for name in MEASURES:
         value, *drawn = columns[name]
         low, high = interval(np.array(drawn)) or (None, None)
-        found[name] = {"value": float(value) if np.isfinite(value) else None, "low": low, "high": high}
-    return found
+        accuracy[name] = {"value": float(value) if np.isfinite(value) else None, "low": low, "high": high}
+    return accuracy

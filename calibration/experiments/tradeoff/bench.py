@@ -158,7 +158,11 @@ def bench(judge: Path, recorded: Path, presses: int, idle_s: float, threads: int
     ]
     floors = _floors(bundle, peak, payloads, folder)
     width, height = recording.header.mode
-    frame = {"width": width, "height": height, "bytes": float(np.mean([len(one) for one in payloads]))}
+    frame = {
+        "width": width,
+        "height": height,
+        "bytes": float(np.mean([len(payload) for payload in payloads])),
+    }
     assert bundle.manifest.backbone is not None
     trunk = folder / "trunk.onnx"
     trunk.write_bytes(bundle.graphs.trunk)
@@ -298,10 +302,10 @@ def _play(
 def _copy_free_frames(recording: Recording, folder: Path) -> Path:
     """Copy the frames before the first press. Errors: RecordingError where the labels tell of none, or of no press."""
     with RecordingWriter(folder, recording.header) as writer:
-        for one in recording:
-            if one.label is None or one.label.get("press") is not None:
+        for recorded_frame in recording:
+            if recorded_frame.label is None or recorded_frame.label.get("press") is not None:
                 break
-            writer.add(one.frame.payload, one.frame.timestamp_ns, one.label)
+            writer.add(recorded_frame.frame.payload, recorded_frame.frame.timestamp_ns, recorded_frame.label)
     if not 0 < len(writer) < len(recording):
         raise RecordingError(
             f"'{recording.folder}' does not begin with frames that are labelled as free, with presses after them; give "
@@ -315,8 +319,8 @@ def _floors(bundle: Bundle, peak: Peak, payloads: Sequence[bytes], folder: Path)
     assert bundle.graphs.trunk is not None
     whole, trunk = work_of(bundle.graphs.trunk, bundle), trunk_work(bundle.graphs.trunk, bundle)
     head = Work(whole.float32 - trunk.float32, whole.int8 - trunk.int8, whole.bytes - trunk.bytes)
-    raw = [np.frombuffer(one, np.uint8) for one in payloads]
-    decode = float(1e3 * np.median([fastest(partial(cv2.imdecode, one, SMALLEST), 3) for one in raw]))
+    raw = [np.frombuffer(payload, np.uint8) for payload in payloads]
+    decode = float(1e3 * np.median([fastest(partial(cv2.imdecode, jpeg, SMALLEST), 3) for jpeg in raw]))
     floors = {
         "look": decode,
         "decode": decode,

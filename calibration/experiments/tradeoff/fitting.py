@@ -129,7 +129,9 @@ def _fit(
         "settings": point.overrides,
         "presses": point.presses,
         "gel_share": point.presses / DEFAULT_LIMIT_PRESSES,
-        "accuracy": measure_accuracy([on_common_grid(one) for one in scored.maps], scored.scores, run.truth),
+        "accuracy": measure_accuracy(
+            [on_common_grid(score_map) for score_map in scored.maps], scored.scores, run.truth
+        ),
         "bank_bytes": sum(entry.bytes_stored for entry in manifest.bank.values()),
         "bank_bytes_unpacked": sum(entry.bytes_unpacked for entry in manifest.bank.values()),
         "trunk_bytes": len(trunk.graph),

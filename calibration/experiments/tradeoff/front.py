@@ -152,8 +152,8 @@ def read_limits(within: str | None, under: str | None, presses: int | None) -> L
 
 def _excess(row: Row, limits: Limits) -> dict[str, float]:
     """Return how many times over each limit the point is; only those that it exceeds."""
-    found = {name: _COSTS[name][0](row) / most for name, most in limits.items()}
-    return {name: times for name, times in found.items() if times > 1}
+    ratios = {name: _COSTS[name][0](row) / most for name, most in limits.items()}
+    return {name: times for name, times in ratios.items() if times > 1}
 
 
 def pick(rows: Sequence[Row], limits: Limits) -> tuple[Row, list[str]]:

@@ -204,24 +204,28 @@ def _list_needed(name: str, known: frozenset[str] = frozenset()) -> set[str]:
 
     One that is not installed, as where a system's packages give its modules another way, is left out.
     """
-    found: set[str] = set()
+    distributions: set[str] = set()
     for requirement in Distribution.from_name(name).requires or ():
         needed = re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
-        if ";" in requirement or needed in known | found or not any(Distribution.discover(name=needed)):
+        if (
+            ";" in requirement
+            or needed in known | distributions
+            or not any(Distribution.discover(name=needed))
+        ):
             continue
-        found |= {needed} | _list_needed(needed, known | found)
-    return found
+        distributions |= {needed} | _list_needed(needed, known | distributions)
+    return distributions
 
 
 def _read_mapped(pid: int) -> dict[str, float]:
     """Bytes in memory of the files that are mapped from installed packages, by the folder of the package."""
-    found, folder = Counter[str](), ""
+    bytes_by_folder, folder = Counter[str](), ""
     for line in Path(f"/proc/{pid}/smaps").read_text().splitlines():
         if re.match(r"[0-9a-f]+-[0-9a-f]+ ", line):
             folder = line.partition("/site-packages/")[2].partition("/")[0]
         elif folder and line.startswith("Rss:"):
-            found[folder] += int(line.split()[1]) << 10
-    return {name: float(size) for name, size in found.items()}
+            bytes_by_folder[folder] += int(line.split()[1]) << 10
+    return {name: float(size) for name, size in bytes_by_folder.items()}
 
 
 def _cpu_s(pid: int) -> float:

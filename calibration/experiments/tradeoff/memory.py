@@ -41,15 +41,15 @@ def peak_bytes(
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["calibration.experiments.tradeoff.memory"])
-    found: list[int | None] = []
+    peaks: list[int | None] = []
     with ProcessPoolExecutor(1, context, max_tasks_per_child=1) as pool:
         for path in bundles:
             try:
-                found.append(pool.submit(measure, (path, threads)).result())
+                peaks.append(pool.submit(measure, (path, threads)).result())
             except BrokenProcessPool as error:
                 raise FitError(
                     f"the process that measures the memory of '{path.name}' died, perhaps for lack of memory; free "
                     "some and give the same command again: finished points are kept"
                 ) from error
-            advance(len(found))
-    return found
+            advance(len(peaks))
+    return peaks

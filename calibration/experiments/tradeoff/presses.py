@@ -46,11 +46,11 @@ class Chosen:
 
     def sha256(self) -> str:
         """Hash the pictures and masks that are used, in their order: equal hashes mean equal presses."""
-        found = hashlib.sha256()
+        hasher = hashlib.sha256()
         for press in (*self.fitted, *self.scored):
             for file in (press.path, press.mask_file):
-                found.update(b"-" if file is None else hashlib.sha256(file.read_bytes()).digest())
-        return found.hexdigest()
+                hasher.update(b"-" if file is None else hashlib.sha256(file.read_bytes()).digest())
+        return hasher.hexdigest()
 
     def show(self, presses: Sequence[LabelledPress], view: View) -> list[LabelledPress]:
         """Return presses in the resolution of a view."""
@@ -78,9 +78,9 @@ def choose_presses(root: Path, part: str | None, position: str | None, seed: int
     part, position = choose_position([dataset], part, position)
     every = presses_of(dataset, part, position)
     if every.pictures.view != LR_VIEW:
-        found = "x".join(map(str, every.pictures.view.size))
+        size_text = "x".join(map(str, every.pictures.view.size))
         raise DatasetError(
-            f"the pictures of {part}/{position} are {found}, not {low[0]}x{low[1]}; a trade-off is measured on "
+            f"the pictures of {part}/{position} are {size_text}, not {low[0]}x{low[1]}; a trade-off is measured on "
             "pictures of the sensor in low resolution, with or without the high one"
         )
     assert every.masks.any()  # else refused before any work
@@ -101,10 +101,10 @@ def _high(
     """The high-resolution press of each, by its low-resolution file; empty unless every one has one."""
     size = VIEWS["hr"].profile.size
     try:
-        found = open_dataset(root, resolution_of(size)).select(part, position).presses
+        high_presses = open_dataset(root, resolution_of(size)).select(part, position).presses
     except DatasetError:
         return {}
-    named = {(press.path.stem, press.is_defective): press for press in found if press.size == size}
+    named = {(press.path.stem, press.is_defective): press for press in high_presses if press.size == size}
     pairs = {press.path: named.get((press.path.stem, press.is_defective)) for press in presses}
     return {path: press for path, press in pairs.items() if press} if all(pairs.values()) else {}
 

@@ -118,8 +118,8 @@ def require_same_run(rows: Sequence[Row], run: Run, file: Path) -> None:
     keys = {row["key"] for row in rows if not row.get("peer")}
     points = {point.key for point in run.points}
     wanted = {"presses": run.chosen.sha256(), "seed": run.given.seed, "points": points}
-    found = {"presses": rows[0]["dataset_sha256"], "seed": rows[0]["seed"], "points": keys}
-    other = [name for name in wanted if wanted[name] != found[name]]
+    row_facts = {"presses": rows[0]["dataset_sha256"], "seed": rows[0]["seed"], "points": keys}
+    other = [name for name in wanted if wanted[name] != row_facts[name]]
     if other:
         raise ConfigError(
             f"'{file}' has rows of another run ({', '.join(other)} differ); measure again with --overwrite, choose "
@@ -141,5 +141,5 @@ def _fit_missing(run: Run, folder: Path, show: Show) -> list[Row]:
             for row in fit_points(list(group), run, folder / "bundles"):
                 journal.append(row)
                 advance(len(journal.done()))
-    found = {row["key"]: row for row in journal.read()}
-    return [found[point.key] for point in run.points]
+    rows_by_key = {row["key"]: row for row in journal.read()}
+    return [rows_by_key[point.key] for point in run.points]

@@ -98,18 +98,18 @@ def stage_times(ms: F64, shared: Sequence[Shared]) -> list[dict[str, Any]]:
     lane's own rounds reach.
     """
     tails = np.percentile(ms, 95, axis=0) - np.median(ms, axis=0)
-    found = []
+    columns = []
     for own, tail in zip(shared, tails, strict=True):
         alike = [[k for k, keys in enumerate(shared) if keys[stage] == key] for stage, key in enumerate(own)]
         medians = [float(np.median(ms[:, lanes, stage])) for stage, lanes in enumerate(alike)]
         stages = zip(WAITED, medians, tail.tolist(), strict=True)
-        found.append(
+        columns.append(
             {
                 "stages": {name: {"median": median, "p95": median + more} for name, median, more in stages},
                 "rounds": len(ms),
             }
         )
-    return found
+    return columns
 
 
 def camera_frames(profile: SensorProfile, presses: Sequence[LabelledPress]) -> list[CameraFrame]:

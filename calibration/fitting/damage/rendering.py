@@ -165,4 +165,4 @@ def edit_touching(
     order = rng.permutation(len(presses)).tolist()
     is_smoothed, frames = presses.raw is not None, presses.frames if presses.raw is None else presses.raw
     edits = {k: EditedPress(station, frames[k], is_smoothed) for k in order[:most]}
-    return {k: one for k, one in edits.items() if one.contact.any()}
+    return {k: edit for k, edit in edits.items() if edit.contact.any()}

@@ -37,9 +37,9 @@ def divide_presses(
     """
     n, pieces = len(specimens), len(set(pieces_of(specimens)))
     count = n if n < LEAVE_ONE_OUT_BELOW else count
-    found = folds(specimens, count, rng)
-    if pieces > 1 and n - max(len(held) for held in found) >= fewest - 1:
-        return found, []
+    piece_folds = folds(specimens, count, rng)
+    if pieces > 1 and n - max(len(held) for held in piece_folds) >= fewest - 1:
+        return piece_folds, []
     of = (
         "1 piece"
         if pieces == 1

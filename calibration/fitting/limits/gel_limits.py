@@ -37,8 +37,8 @@ _NEAR_MM, _ABOVE, _QUARTILE, _USUAL = 0.6, 1.5, 0.25, 1.25
 _SHOWN, _BEYOND_SECOND = 0.75, 2.0
 _RIM_MM, _SHOWN_AT_RIM, _AT_RIM = 1.0, 0.85, 1.4
 _PRESSES_EACH = 40
-# Of 16 presses of two real balls 28 of 248 further sound ones failed by limits of the gel, where 15 were promised, and 10
-# without; of 20 presses 8 of 84, and 9 without.
+# Of 16 presses of two real balls 28 of 248 further sound ones failed by limits of the gel, where 15 were promised, and
+# 10 without; of 20 presses 8 of 84, and 9 without.
 _FEWEST = 20
 
 
@@ -46,7 +46,7 @@ def find_near(maps: F32, pixels_per_mm: float, reach_mm: float = _NEAR_MM) -> F3
     """Find the highest value near each place, of each of these maps."""
     reach = 2 * round(reach_mm * pixels_per_mm) + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
-    return np.stack([cv2.dilate(one, kernel) for one in maps])
+    return np.stack([cv2.dilate(score_map, kernel) for score_map in maps])
 
 
 def learn_gel_limits(maps: F32, pixels_per_mm: float, presses: int, near: F32 | None = None) -> F32:
@@ -173,7 +173,7 @@ def _weigh_all(
 def _weigh(scored: ScoredPresses, limits: Sequence[F32], poses: Sequence[Registered]) -> ScoredPresses:
     """Divide what counts of the presses by the limits of each, which are of the gel."""
     weights = [
-        gel_limits_in_pose(one, registered.pose) for one, registered in zip(limits, poses, strict=True)
+        gel_limits_in_pose(limit, registered.pose) for limit, registered in zip(limits, poses, strict=True)
     ]
     weighed = replace(scored, gel_limits=np.stack(weights))
     return replace(weighed, scores=weighed.highest(scored.maps))

@@ -53,7 +53,7 @@ class ShownPresses:
     def seen(self) -> Mask | None:
         """The places that count, (n, h, w); None for all."""
         if self.registered is not None:
-            return np.stack([one.seen for one in self.registered])
+            return np.stack([placed.seen for placed in self.registered])
         return None if self.unjudged is None else ~self.unjudged
 
 

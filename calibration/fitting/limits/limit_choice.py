@@ -191,10 +191,10 @@ def choose_limit(evidence: Evidence) -> Choice:
         why = "by its surroundings a press has no limit above 0, or a black frame would pass"
         return Choice(PLAIN, f"it finds {plainly}; {why}", None, {PLAIN: usual})
     share = float(other.is_found.mean())
-    found, more = {PLAIN: usual, SURROUNDINGS: share}, f"{other.is_found.sum()} of {count}"
+    shares, more = {PLAIN: usual, SURROUNDINGS: share}, f"{other.is_found.sum()} of {count}"
     if share == 0 or usual >= share + WORTH:
-        return Choice(PLAIN, f"it finds {plainly}, compared with its surroundings {more}", None, found)
-    return Choice(SURROUNDINGS, f"finds {more}, one limit for all places {plainly}", other, found)
+        return Choice(PLAIN, f"it finds {plainly}, compared with its surroundings {more}", None, shares)
+    return Choice(SURROUNDINGS, f"finds {more}, one limit for all places {plainly}", other, shares)
 
 
 def _compare_surroundings(evidence: Evidence) -> OtherLimit | None:

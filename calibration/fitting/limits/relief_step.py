@@ -90,10 +90,10 @@ def contact_of(features: Floating, free: F64, level: float) -> F64:
 def pool(features: Floating, free: F64, level: float) -> Pooled:
     """Pool the presses' features (n, channels, h, w), averaged over what touches; press by press, for their size."""
     means, contact = np.zeros(features.shape[:2]), np.zeros(len(features))
-    for k, one in enumerate(features):
-        touch = contact_of(one[None], free, level)[0]
+    for k, press_maps in enumerate(features):
+        touch = contact_of(press_maps[None], free, level)[0]
         contact[k] = touch.sum()
-        means[k] = np.tensordot(one.astype(np.float64), touch, 2) / max(contact[k], _TINY)
+        means[k] = np.tensordot(press_maps.astype(np.float64), touch, 2) / max(contact[k], _TINY)
     return Pooled(means, contact)
 
 
@@ -191,12 +191,12 @@ def choose_relief(
     held_out = evidence.score_folds(folds)
     if held_out.limit >= 0:
         return ReliefChoice("the nominal presses differ more than smoother ones do from them")
-    found = float(np.mean([values < held_out.limit for values in held_out.smoother]))
+    share = float(np.mean([values < held_out.limit for values in held_out.smoother]))
     count = held_out.smoother.size
-    words = f"{round(found * count)} of {count} smoother presses"
-    if found < USEFUL:
+    words = f"{round(share * count)} of {count} smoother presses"
+    if share < USEFUL:
         return ReliefChoice(
-            f"of the part's relief little can be missing: only {words} are found", found=found
+            f"of the part's relief little can be missing: only {words} are found", found=share
         )
     weights, middle = evidence.direction(np.arange(nominal.presses))
     _, rows, columns = grid.taps[tap]
@@ -214,7 +214,7 @@ def choose_relief(
     }
     is_alarm = held_out.same < held_out.limit
     alarms = f"{int(is_alarm.sum())} of {is_alarm.size} nominal ones under another light or contrast"
-    return ReliefChoice(f"{words} are found, and {alarms}", relief, tap, found)
+    return ReliefChoice(f"{words} are found, and {alarms}", relief, tap, share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,9 +255,9 @@ class _Evidence:
     def of(cls, nominal: Nominal, changed: ChangedPresses, take: Take, tap: str) -> "_Evidence":
         maps, untouched = nominal.features[tap], (nominal.no_contact or nominal.features)[tap]
         free = np.median(untouched.mean(axis=0, dtype=np.float64), axis=(1, 2), keepdims=True)
-        distances = [np.sqrt(np.square(one - free).sum(axis=0)) for one in maps]
-        level = _LEVEL_SHARE * float(np.median([np.quantile(one, _HIGHEST) for one in distances]))
-        expected = np.mean([contact_of(one[None], free, level)[0] for one in maps], axis=0)
+        distances = [np.sqrt(np.square(score_map - free).sum(axis=0)) for score_map in maps]
+        level = _LEVEL_SHARE * float(np.median([np.quantile(distance, _HIGHEST) for distance in distances]))
+        expected = np.mean([contact_of(score_map[None], free, level)[0] for score_map in maps], axis=0)
         same, smoother = (
             tuple(pool(take(frames)[tap], free, level) for frames in kinds)
             for kinds in (changed.same, changed.smoother)
@@ -312,11 +312,11 @@ class _Evidence:
 def _touched_cells(maps: Floating, free: F64, level: float) -> F64:
     """Features of cells in the middle of a contact, float64 (k, channels)."""
     most = max(1, _MOST_CELLS // len(maps))
-    found = []
-    for one in maps:
-        touching = one[:, contact_of(one[None], free, level)[0] > 0.8].T
-        found.append(touching[:: max(1, len(touching) // most)])
-    return np.concatenate(found).astype(np.float64)
+    cells = []
+    for press_maps in maps:
+        touching = press_maps[:, contact_of(press_maps[None], free, level)[0] > 0.8].T
+        cells.append(touching[:: max(1, len(touching) // most)])
+    return np.concatenate(cells).astype(np.float64)
 
 
 def _scatter(rows: F64) -> F64:

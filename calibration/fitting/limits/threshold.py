@@ -80,13 +80,13 @@ def conformal_threshold(
     Errors: FitError for fewer scores.
     """
     check_alpha(alpha)
-    found = np.asarray(scores, np.float64)
-    require_enough(len(found), alpha, fewest)
-    if not np.isfinite(found).all():
+    score_array = np.asarray(scores, np.float64)
+    require_enough(len(score_array), alpha, fewest)
+    if not np.isfinite(score_array).all():
         raise FitError("a nominal press has a score that is not finite; look at the pictures")
-    keys = pieces_of(specimens or (None,) * len(found))
-    order = np.argsort(found, kind="stable")
-    ordered, pieces = found[order], len(set(keys))
+    keys = pieces_of(specimens or (None,) * len(score_array))
+    order = np.argsort(score_array, kind="stable")
+    ordered, pieces = score_array[order], len(set(keys))
     rank = _rank([keys[k] for k in order], alpha)
     if rank is not None:
         value, method = float(ordered[rank - 1]), f"{kind} quantile, rank {rank} of {len(ordered)}"
@@ -94,7 +94,7 @@ def conformal_threshold(
         margin = max(_margin_share(pieces, alpha) * float(ordered[-1] - np.median(ordered)), slack)
         value = float(ordered[-1]) + margin
         method = f"{kind}: largest of {len(ordered)} scores plus {margin:.4g}"
-    high = np.flatnonzero(found > value).tolist()
+    high = np.flatnonzero(score_array > value).tolist()
     threshold = ThresholdEntry(
         value=value,
         method=method,
@@ -103,8 +103,8 @@ def conformal_threshold(
         nominal_scores=tuple(map(float, ordered)),
         pieces=pieces,
         rate_range=rate_range(pieces, alpha),
-        by_press=_promise(len(high), len(found)),
-        by_piece=_promise(len({keys[k] for k in high}), pieces) if pieces < len(found) else None,
+        by_press=_promise(len(high), len(score_array)),
+        by_piece=_promise(len({keys[k] for k in high}), pieces) if pieces < len(score_array) else None,
     )
     return promise_known_pieces(threshold) if pieces == 1 else threshold
 
@@ -139,9 +139,9 @@ def promise_at(
     pieces = len(set(pieces_of(specimens or (None,) * len(scores))))
     steps = (k / (pieces + 1) for k in range(1, pieces + 1))
     for rate in (alpha, *(step for step in steps if step > alpha)):
-        found = conformal_threshold(scores, rate, specimens=specimens)
-        if found.value <= value:
-            return count_alarms(found.model_copy(update={"value": value}), scores, specimens)
+        threshold = conformal_threshold(scores, rate, specimens=specimens)
+        if threshold.value <= value:
+            return count_alarms(threshold.model_copy(update={"value": value}), scores, specimens)
     return None
 
 

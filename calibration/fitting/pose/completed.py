@@ -16,7 +16,7 @@ _SEED = 0
 
 def completed(registered: Sequence[Registered]) -> U8:
     """Return the presses in the bank's pose, as `complete_places`."""
-    return complete_places([one.rgb for one in registered], [one.seen for one in registered])
+    return complete_places([placed.rgb for placed in registered], [placed.seen for placed in registered])
 
 
 def complete_places(pictures: Sequence[U8], seen: Sequence[Mask]) -> U8:

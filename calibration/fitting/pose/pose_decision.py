@@ -85,11 +85,11 @@ class PoseChoice:
         largest = list(dict(zip(kinds, damage.names, strict=True)).values())
         large = [k for k, name in enumerate(damage.names) if name in largest]
         some = [k for k, name in enumerate(damage.names) if name not in smallest]
-        found, found_large = (
+        separation, found_large = (
             _separate(held_out.sound.scores, held_out.edited.scores[rows]) for rows in (some, large)
         )
-        why = f"{self.why}; {_words(found)} (image AUROC, out of fold)"
-        if found <= AT_CHANCE:
+        why = f"{self.why}; {_words(separation)} (image AUROC, out of fold)"
+        if separation <= AT_CHANCE:
             return PoseChoice(None, f"{why}, as by chance", faults=self.faults)
         return replace(self, why=f"presses are registered: {why}", separated=found_large, is_open=False)
 
@@ -100,20 +100,20 @@ class PoseChoice:
 
     def find_warnings(self, names: Sequence[str]) -> list[str]:
         """Name presses of another part, and those not recognised, and say that turns that are compared may be wrong."""
-        found = [*self.faults]
+        sentences = [*self.faults]
         if self.learnt is None:
-            return found
+            return sentences
         if lost := [names[k] for k in self.learnt.unrecognised]:
-            found.append(
+            sentences.append(
                 f"the part is not recognised in {list_names(lost, len(names))}: a gateway rejects such presses; press "
                 f"nearer to the middle, and leave these out (--leave-out '{lost[0]}')"
             )
         nearly = self.learnt.part.nearly
         if nearly == 1:
-            return found
+            return sentences
         steps = f"by {360 / nearly:.0f} degrees" if nearly else "by other angles"
         return [
-            *found,
+            *sentences,
             f"the turn of presses is not sure: some agree nearly as well turned {steps}; where one is turned wrong, "
             "what breaks the symmetry scores high or hides damage; press more, or hold the part at one turn",
         ]
@@ -139,7 +139,7 @@ class PoseChoice:
             features = nominal.features if hidden is None else take(presses.frames)
             return ShownPresses(features, unjudged=hidden)
         registered = self.learnt.registered
-        return ShownPresses(take(np.stack([one.rgb for one in registered])), registered)
+        return ShownPresses(take(np.stack([placed.rgb for placed in registered])), registered)
 
     def take_shown(self, take: Take) -> Take:
         """Return what takes the features of presses as the gateway brings them to the bank."""
@@ -157,15 +157,20 @@ class PoseChoice:
         if self.learnt is None:
             return damage, ShownPresses(take(damage.frames), unjudged=hidden)
         registrar = Registrar(self.learnt.part)
-        found = [registrar.register(rgb) for rgb in damage.frames]
+        registrations = [registrar.register(rgb) for rgb in damage.frames]
         if hidden is not None:
-            found = list(map(Registered.without, found, hidden))
-        kept = [k for k, one in enumerate(found) if one.refusal is None] or list(range(len(found)))
+            registrations = list(map(Registered.without, registrations, hidden))
+        kept = [k for k, registration in enumerate(registrations) if registration.refusal is None] or list(
+            range(len(registrations))
+        )
         moved = [
-            (warp(damage.masks[k].astype(np.float32), found[k].pose) > 0.5) & found[k].seen for k in kept
+            (warp(damage.masks[k].astype(np.float32), registrations[k].pose) > 0.5) & registrations[k].seen
+            for k in kept
         ]
         posed = replace(damage.choose(kept), masks=np.stack(moved))
-        return posed, ShownPresses(take(np.stack([found[k].rgb for k in kept])), [found[k] for k in kept])
+        return posed, ShownPresses(
+            take(np.stack([registrations[k].rgb for k in kept])), [registrations[k] for k in kept]
+        )
 
 
 def choose_pose(
@@ -270,7 +275,7 @@ def pose_spread_mm(learnt: LearntPose, pixels_per_mm: float) -> float:
     slopes = part.colours.slopes(FreeLight(part.free).find_change(part.template))
     places = np.argwhere(part.learnt & find_relief(slopes))[::97, ::-1].astype(np.float64)
     size = part.learnt.shape[1], part.learnt.shape[0]
-    matrices = [one.pose.matrix(size) for one in learnt.registered]
+    matrices = [placed.pose.matrix(size) for placed in learnt.registered]
     moved = np.stack([places @ m[:, :2].T + m[:, 2] for m in matrices])
     away = np.linalg.norm(moved - np.median(moved, axis=0), axis=2).mean(axis=1)
     return float(np.median(away)) / pixels_per_mm

@@ -114,11 +114,11 @@ def learn_pose(frames: U8, free: U8, unjudged: Mask | None = None) -> LearntPose
         best = best.together
     elif best.together:  # a gateway finds other turns, so a mean of presses at all of them is better
         part, registered, _ = bring(_find_others(every, chosen, best))
-    lowest = min(one.match for one in registered)
+    lowest = min(placed.match for placed in registered)
     part = replace(
         part,
         least_match=float(np.clip(1 - _MISMATCH_TIMES * (1 - lowest), *_LEAST_MATCH)),
-        least_seen=max(_LEAST_SEEN, 0.9 * min(one.seen_share for one in registered)),
+        least_seen=max(_LEAST_SEEN, 0.9 * min(placed.seen_share for placed in registered)),
     )
     return LearntPose(part, registered, completed(registered))
 
@@ -135,8 +135,8 @@ def _bring(
     """Average aligned presses and register each as a gateway does; tell whether that finds their turns again."""
     part = _average(light, added, aligned)
     registered = _register(part, frames, unjudged)
-    found = np.array([one.pose.turn_rad for one in registered])
-    return part, registered, same_share(found - aligned.turns) == 1
+    turns_rad = np.array([placed.pose.turn_rad for placed in registered])
+    return part, registered, same_share(turns_rad - aligned.turns) == 1
 
 
 def _register(part: PartInPose, frames: U8, unjudged: Mask | None) -> tuple[Registered, ...]:
@@ -150,7 +150,9 @@ def _firsts(small: Sequence[F32]) -> list[F32]:
     h, w = small[0].shape[:2]
     y, x = np.mgrid[:h, :w]
     middle = np.exp(-((3 * (y - h / 2) / h) ** 2) - (3 * (x - w / 2) / w) ** 2)[..., None]
-    shares = [float((one**2 * middle).sum()) / float(np.sqrt((one**2).sum()) + 1) for one in small]
+    shares = [
+        float((picture**2 * middle).sum()) / float(np.sqrt((picture**2).sum()) + 1) for picture in small
+    ]
     return [small[k] for k in np.argsort(shares)[::-1][:_STARTS]]
 
 
@@ -188,7 +190,7 @@ class _Alignment:
         self, small: Sequence[F32], first: F32, colours: SlopeColours, is_turning: bool = True
     ) -> None:
         self._small, self._colours, self._is_turning = small, colours, is_turning
-        self._slopes = [colours.slopes(one) for one in small]
+        self._slopes = [colours.slopes(picture) for picture in small]
         self._rng, self._rounds = np.random.default_rng(_SEED), 0
         self._turned = np.zeros(len(small))
         self._found = self._find(first, np.ones(first.shape[:2], np.bool_), range(len(small)))
@@ -206,9 +208,9 @@ class _Alignment:
         order = self._rng.permutation(len(poses))
         for half, other in ((order[::2], order[1::2]), (order[1::2], order[::2])):
             mean = _mean([self._small[k] for k in other], [poses[k] for k in other], self._colours)
-            for k, one in zip(half, self._find(*mean, half), strict=True):
-                self._turned[k] = one.pose.turn_rad - poses[k].turn_rad
-                self._found[k] = one
+            for k, alignment in zip(half, self._find(*mean, half), strict=True):
+                self._turned[k] = alignment.pose.turn_rad - poses[k].turn_rad
+                self._found[k] = alignment
         self._rounds += 1
 
     def _poses(self) -> list[Pose]:
@@ -241,7 +243,7 @@ def _align(small: Sequence[F32]) -> _Aligned:
     is a surface by the right one. Errors: FitError.
     """
     try:
-        colours = SlopeColours.of(np.concatenate([one.reshape(-1, 3) for one in small]))
+        colours = SlopeColours.of(np.concatenate([picture.reshape(-1, 3) for picture in small]))
     except ValueError as error:
         raise FitError(f"presses cannot be registered: {error}") from error
     first, *others = _firsts(small)
@@ -264,13 +266,13 @@ def _agree_on_turns(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
         return aligned
     mean = _mean_slopes(small, aligned)
     (step,) = PoseSearch(mean).find_at(mean, [2 * math.pi / count])
-    slopes = [aligned.colours.slopes(one) for one in small]
+    slopes = [aligned.colours.slopes(picture) for picture in small]
     turned = agree_on_turns(slopes, aligned.poses, step.pose, count)
     if turned is None:
         return aligned
     alike = replace(aligned, poses=turned, symmetry=1, doubts=frozenset({count}))
     near = FineSearch(_mean_slopes(small, alike))
-    poses = [near.align(one, pose, _REFINED).pose for one, pose in zip(slopes, turned, strict=True)]
+    poses = [near.align(slope, pose, _REFINED).pose for slope, pose in zip(slopes, turned, strict=True)]
     return replace(aligned, together=replace(alike, poses=poses))
 
 
@@ -320,9 +322,9 @@ def _look_alike(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
     two turns that fit equally well the light prefers the smaller one, so turns that repeat do not show it.
     """
     search = PoseSearch(_mean_slopes(small, aligned))
-    every = [aligned.colours.slopes(one) for one in small]
+    every = [aligned.colours.slopes(picture) for picture in small]
     slopes = every[:_LOOKED_AT]
-    found = [search.find(one) for one in slopes]
+    alignments = [search.find(slope) for slope in slopes]
     parts = range(MOST_SYMMETRY, 1, -1)
 
     def loses(press: F32, one: Alignment) -> list[float]:
@@ -337,14 +339,14 @@ def _look_alike(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
             for n, by, each in zip(parts, turned, again, strict=True)
         ]
 
-    of_press = [loses(press, one) for press, one in zip(slopes, found, strict=True)]
+    of_press = [loses(press, alignment) for press, alignment in zip(slopes, alignments, strict=True)]
     lost = dict(zip(parts, zip(*of_press, strict=True), strict=True))
     alike = next((n for n, each in lost.items() if np.median(each) < _ALIKE), 1)
     doubts = aligned.doubts | {n for n, each in lost.items() if min(each) < _DOUBTED}
     symmetry = max(aligned.symmetry, alike)
     if symmetry > 1:  # of turns that look the same all presses have the first one's, where they were held so
         held = [search.find_at(one, [0.0])[0] for one in every]
-        best = [*found, *(search.find(one) for one in every[_LOOKED_AT:])]
+        best = [*alignments, *(search.find(one) for one in every[_LOOKED_AT:])]
         if all(1 - one.match <= _AS_WELL * (1 - other.match) for one, other in zip(held, best, strict=True)):
             aligned = replace(aligned, poses=[one.pose for one in held], is_held=True)
     return replace(aligned, symmetry=symmetry, doubts=doubts)
@@ -380,8 +382,8 @@ def _mean(added: Sequence[F32], poses: Sequence[Pose], colours: SlopeColours) ->
     """The mean of what presses add in the bank's pose, and the places that enough of them show."""
     total = np.zeros_like(added[0])
     count = np.zeros(total.shape[:2], np.float32)
-    for one, pose in zip(added, poses, strict=True):
-        moved, seen = in_pose(one, pose, colours)
+    for added_light, pose in zip(added, poses, strict=True):
+        moved, seen = in_pose(added_light, pose, colours)
         total += cv2.copyTo(moved, seen.view(np.uint8))  # 0 elsewhere
         count += seen
     mean = np.asarray(total / np.maximum(count, 1)[..., None], np.float32)

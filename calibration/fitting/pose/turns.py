@@ -76,13 +76,13 @@ def agree_on_turns(slopes: Sequence[F32], poses: Sequence[Pose], step: Pose, cou
 
 def _show(slopes: Sequence[F32], of_press: Sequence[Sequence[Pose]]) -> tuple[F32, F32]:
     """Show every press in each of its poses, float32 (n, count, places), and 1 where it is seen."""
-    small = [shrunk(one, _SIDE_PX) for one in slopes]
+    small = [shrunk(slope, _SIDE_PX) for slope in slopes]
     factor = max(small[0].shape) / max(slopes[0].shape)
     shown, seen = list[F32](), list[Mask]()
-    for one, poses in zip(small, of_press, strict=True):
+    for press_slopes, poses in zip(small, of_press, strict=True):
         for pose in (each.scale(factor) for each in poses):
-            seen.append(np.repeat(field_depth(pose, one.shape[:2]) >= 1, 2))
-            shown.append(turn_slopes(one, pose).ravel() * seen[-1])
+            seen.append(np.repeat(field_depth(pose, press_slopes.shape[:2]) >= 1, 2))
+            shown.append(turn_slopes(press_slopes, pose).ravel() * seen[-1])
     shape = len(slopes), -1, small[0].size
     return np.reshape(shown, shape), np.reshape(seen, shape).astype(np.float32)
 

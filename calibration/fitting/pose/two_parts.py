@@ -29,8 +29,8 @@ def find_two_parts(learnt: LearntPose, names: Sequence[str]) -> list[str]:
     relief = _shrink(learnt.part.template) - _shrink(learnt.part.free)
     strength = np.sqrt((relief**2).sum(axis=2))
     shows = strength > _RELIEF_SHARE * float(strength.max())
-    views = np.stack([_shrink(one.rgb) for one in learnt.registered])
-    seen = np.stack([_shrink(one.seen) for one in learnt.registered]) > 1 - 1e-3
+    views = np.stack([_shrink(placed.rgb) for placed in learnt.registered])
+    seen = np.stack([_shrink(placed.seen) for placed in learnt.registered]) > 1 - 1e-3
     amounts = _find_amounts(views[:, shows], seen[:, shows])
     order = np.argsort(amounts, kind="stable")
     first, gap, distance = _divide(amounts[order])

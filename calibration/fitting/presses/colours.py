@@ -53,8 +53,8 @@ def nominal_colours(frames: U8) -> ColourEntry | None:
     if mean.mean() < BLACK_LEVEL:
         return None
     n = len(cells)
-    others = [(mean * n - one) / (n - 1) if n > 1 else mean for one in cells]
-    spread = max(colour_distance(one, rest) for one, rest in zip(cells, others, strict=True))
+    others = [(mean * n - cell) / (n - 1) if n > 1 else mean for cell in cells]
+    spread = max(colour_distance(cell, rest) for cell, rest in zip(cells, others, strict=True))
     rounded = np.round(mean, 2).tolist()
     return ColourEntry(
         cells=tuple(tuple((r, g, b) for r, g, b in row) for row in rounded),

@@ -41,11 +41,11 @@ def find_common_dots(pictures: Sequence[U8], pixels_per_mm: float) -> MarkerDots
     some = [pictures[k] for k in rows]
     if float(np.median([largest_colour(rgb) - ~largest_colour(~rgb) for rgb in some])) < _LEAST_COLOUR:
         return None
-    found = [dots for rgb in some if (dots := find_marker_dots(rgb, pixels_per_mm)) is not None]
-    sizes = np.array([(dots.apart_px, dots.width_px) for dots in found])
-    if len(found) < len(some) or np.any(np.ptp(sizes, axis=0) > _ALIKE * sizes.mean(axis=0)):
+    lattices = [dots for rgb in some if (dots := find_marker_dots(rgb, pixels_per_mm)) is not None]
+    sizes = np.array([(dots.apart_px, dots.width_px) for dots in lattices])
+    if len(lattices) < len(some) or np.any(np.ptp(sizes, axis=0) > _ALIKE * sizes.mean(axis=0)):
         return None
-    first = max(found, key=lambda dots: len(dots.places))
+    first = max(lattices, key=lambda dots: len(dots.places))
     shifts = np.stack([first.find_shifts(rgb) for rgb in pictures])
     is_seen = ~np.isnan(shifts).all(axis=(0, 2))
     places = first.places.copy()
@@ -228,13 +228,15 @@ def _doubt(gel: F32, filled: Mask, views: Sequence[View]) -> str:
     if float(np.median(near[~filled[::2, ::2]])) > _COVERED_LEVELS:
         return "dots or parts all over it"
     differences = [Reference(reference).difference(view) for view in views]
-    masks = [touched_mask(one) for one in differences]
+    masks = [touched_mask(difference) for difference in differences]
     spread = _variation(differences, masks)
     if np.median([mask.mean() for mask in masks]) < ContactSettings.on_area:
         return _HOLDS
     if spread < _VARIED_LEVELS:
         return ""
-    shown = [np.quantile(np.sqrt(squared_distance(one)), _SHOWN_QUANTILE) for one in differences]
+    shown = [
+        np.quantile(np.sqrt(squared_distance(difference)), _SHOWN_QUANTILE) for difference in differences
+    ]
     return _HOLDS_SOME if np.median(shown) >= _STANDS_OUT * spread else _HOLDS
 
 
@@ -242,7 +244,9 @@ def _variation(differences: Sequence[View], masks: Sequence[Mask]) -> float:
     """Measure by how many levels presses differ from one another where they are free: 1.48 median deviations."""
     around = np.ones((_AROUND_PX, _AROUND_PX), np.uint8)
     free = np.stack([cv2.dilate(mask.astype(np.uint8), around)[::2, ::2] == 0 for mask in masks])
-    broad = np.stack([cv2.GaussianBlur(one, (0, 0), _BROAD_PX)[::2, ::2] for one in differences])
+    broad = np.stack(
+        [cv2.GaussianBlur(difference, (0, 0), _BROAD_PX)[::2, ::2] for difference in differences]
+    )
     known = free.sum(axis=0) >= max(_FEWEST, _KNOWN_SHARE * len(free))
     if not known.any():
         return 0.0
@@ -276,25 +280,27 @@ def _median_of_free(pictures: Sequence[U8], views: Sequence[View], gel: F32) -> 
     """Take of each pixel the median of the presses that do not touch it, at the gel's level; the gel where few do."""
     reference, size = view_of(gel), (gel.shape[1], gel.shape[0])
     levels = [fit_levels(view, reference) for view in views]
-    touching = [touched_mask(one.applied(view) - reference) for one, view in zip(levels, views, strict=True)]
+    touching = [
+        touched_mask(level.applied(view) - reference) for level, view in zip(levels, views, strict=True)
+    ]
     grown = np.ones((_GROWN_PX, _GROWN_PX), np.uint8)
     masks = [
         cv2.resize(cv2.dilate(mask.astype(np.uint8), grown), size, interpolation=cv2.INTER_NEAREST) > 0
         for mask in touching
     ]
-    found = gel.copy()
+    medians = gel.copy()
     for top in range(0, len(gel), _ROWS):  # a few rows at a time, for the memory
         rows = slice(top, top + _ROWS)
         lines = np.stack(
-            [one.applied(p[rows].astype(np.float32)) for one, p in zip(levels, pictures, strict=True)]
+            [level.applied(p[rows].astype(np.float32)) for level, p in zip(levels, pictures, strict=True)]
         )
         hidden = np.stack([mask[rows] for mask in masks])
         free = len(masks) - hidden.sum(axis=0)
         lines[hidden] = np.inf
         middle = np.take_along_axis(np.sort(lines, axis=0), (free // 2)[None, ..., None], axis=0)[0]
         enough = free >= max(_FEWEST, _FREE_SHARE * len(masks))
-        found[rows][enough] = middle[enough]
-    return found
+        medians[rows][enough] = middle[enough]
+    return medians
 
 
 def _terms(shape: tuple[int, ...]) -> F64:
@@ -312,7 +318,7 @@ def _fit_light(view: View) -> F64:
     """Fit the polynomial, (terms, 3), to what is not touched, from the rim or everywhere: what explains more."""
     terms = _terms(view.shape)[::2, ::2]
     terms, levels = terms.reshape(-1, terms.shape[-1]), view[::2, ::2].reshape(-1, 3).astype(np.float64)
-    found = []
+    fits = []
     for kept in (_rim(view.shape)[::2, ::2].ravel(), np.ones(len(terms), np.bool_)):
         for _ in range(_FITS):
             known = terms[kept]  # few terms over few digits: the normal equations are exact enough, and fast
@@ -322,8 +328,8 @@ def _fit_light(view: View) -> F64:
             if np.array_equal(now, kept) or now.sum() < 3 * terms.shape[1]:
                 break
             kept = now
-        found.append((float(kept.mean()), weights))
-    return max(found, key=lambda one: one[0])[1]
+        fits.append((float(kept.mean()), weights))
+    return max(fits, key=lambda one: one[0])[1]
 
 
 def _rim(shape: tuple[int, ...]) -> Mask:

@@ -186,14 +186,18 @@ def _suspect(given: Mapping[str, U8], pictures: Sequence[U8]) -> list[str]:
         return []
     find = contact_finder(list(given.values()))
     contacts = [find(picture) for picture in pictures]
-    why = foreign_free_gel([touched(one.mask) for one in contacts], [one.relief for one in contacts])
-    said = [] if why is None else [why]
+    why = foreign_free_gel(
+        [touched(contact.mask) for contact in contacts], [contact.relief for contact in contacts]
+    )
+    sentences = [] if why is None else [why]
     press = colour_cells(np.rint(np.mean(pictures, axis=0)).astype(np.uint8), CELLS)
     away = {name: colour_distance(colour_cells(picture, CELLS), press) for name, picture in given.items()}
-    said += [
+    sentences += [
         f"the picture of the free gel '{name}' differs by {share:.0%} of the light from the colours of the presses: "
         "another light, gel or sensor; take one under the light of the presses"
         for name, share in away.items()
         if share > _FOREIGN_COLOURS
     ]
-    return [f"{one}; a smooth part that always lies at one place looks the same" for one in said]
+    return [
+        f"{sentence}; a smooth part that always lies at one place looks the same" for sentence in sentences
+    ]

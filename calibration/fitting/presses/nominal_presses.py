@@ -107,8 +107,8 @@ class NominalPresses:
     @property
     def facts(self) -> dict[str, str]:
         """What the manifest says of the free gel."""
-        said = {"free_gel": self.estimated, "dots": "" if self.dots is None else str(self.dots)}
-        return {name: sentence for name, sentence in said.items() if sentence}
+        sentences = {"free_gel": self.estimated, "dots": "" if self.dots is None else str(self.dots)}
+        return {name: sentence for name, sentence in sentences.items() if sentence}
 
     def first(self, count: int) -> "NominalPresses":
         """Return the first ones."""
@@ -293,13 +293,13 @@ def _read_recording(folder: Path, name: str, gathered: _Gathered) -> None:
     specimens: dict[int, object] = {}
     for recorded in recording:
         specimens[recorded.frame.sequence] = (recorded.label or {}).get("specimen")
-        for found in finder.feed(recorded.frame):
-            if isinstance(found, FoundPress):
-                number, rgb = found.frame.sequence, decode(found.frame, gathered.profile)
+        for press_or_free in finder.feed(recorded.frame):
+            if isinstance(press_or_free, FoundPress):
+                number, rgb = press_or_free.frame.sequence, decode(press_or_free.frame, gathered.profile)
                 piece = None if specimens[number] is None else str(specimens[number])
-                gathered.add(rgb, f"{name}#{number}", piece, found.mask)
+                gathered.add(rgb, f"{name}#{number}", piece, press_or_free.mask)
             elif len(gathered.free) < MAX_NO_CONTACT:
-                gathered.free.append(decode(found, gathered.profile))
+                gathered.free.append(decode(press_or_free, gathered.profile))
     if finder.detector.newest is None:
         gathered.refused.append(why_unread(folder, finder.detector))
     gathered.faults += _incomplete(recording, finder.settled, finder.detector)
@@ -307,17 +307,17 @@ def _read_recording(folder: Path, name: str, gathered: _Gathered) -> None:
 
 def _incomplete(recording: Recording, settled: int, detector: PressDetector) -> list[str]:
     """The parts of a recording that cannot be learnt. settled: presses found in it."""
-    name, held, found = recording.folder.name, recording.presses(), []
+    name, held, sentences = recording.folder.name, recording.presses(), []
     if recording.is_cut:
-        found.append(f"recording {name} ends within a line of its index: what came later is not learnt")
+        sentences.append(f"recording {name} ends within a line of its index: what came later is not learnt")
     if detector.corrupt:
-        found.append(
+        sentences.append(
             f"{detector.corrupt} of {len(recording)} frames of recording {name} cannot be read; the first: "
             f"{detector.first_fault}"
         )
     if held is not None and held != settled:
-        found.append(f"recording {name} has labels of {held} presses, and {settled} were found in it")
-    return found
+        sentences.append(f"recording {name} has labels of {held} presses, and {settled} were found in it")
+    return sentences
 
 
 def why_unread(folder: Path, detector: PressDetector) -> str:
@@ -329,10 +329,10 @@ def why_unread(folder: Path, detector: PressDetector) -> str:
 
 def _pictures(files: Sequence[Path], profile: SensorProfile, resize: bool) -> list[tuple[Path, U8]]:
     faults: list[str] = []
-    found: list[tuple[Path, U8]] = []
+    pictures: list[tuple[Path, U8]] = []
     for path in files:
         try:
-            found.append((path, require_light(path, read_rgb(path, profile, resize=resize))))
+            pictures.append((path, require_light(path, read_rgb(path, profile, resize=resize))))
         except DatasetError as error:
             faults.append(str(error))
     whys = {fault.partition(": ")[2] for fault in faults}
@@ -343,7 +343,7 @@ def _pictures(files: Sequence[Path], profile: SensorProfile, resize: bool) -> li
             f"{len(faults)} of {len(files)} pictures cannot be used; repair or remove:\n  "
             + "\n  ".join(faults)
         )
-    return found
+    return pictures
 
 
 def _name_pages(files: Sequence[Path]) -> list[str]:

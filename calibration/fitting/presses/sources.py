@@ -150,14 +150,14 @@ def list_pictures(sources: Sequence[Path], pattern: str | None = None) -> list[P
             files += images_in(source, pattern)
         elif source.is_dir():
             named = sorted(p for p in source.iterdir() if p.suffix.lower() in (*SUFFIXES, *_UNREAD_SUFFIXES))
-            found = [p for p in named if p.suffix.lower() in SUFFIXES and p.is_file()]
-            _refuse_strays(source, found)
-            if unread := [p.name for p in named if p not in found]:
+            pictures = [p for p in named if p.suffix.lower() in SUFFIXES and p.is_file()]
+            _refuse_strays(source, pictures)
+            if unread := [p.name for p in named if p not in pictures]:
                 raise FitError(
                     f"{source} holds what cannot be read as a picture ({', '.join(unread[:8])}): a link to nothing, a "
                     f"folder, or a format other than {', '.join(SUFFIXES)}; save it as one, or move it away"
                 )
-            if not found:
+            if not pictures:
                 below = sorted(path for path in source.rglob("*/*") if path.suffix.lower() in SUFFIXES)
                 remedy = "name the folder that holds them" + (f", {below[0].parent}" if below else "")
                 names = Counter(path.name for path in below)
@@ -173,7 +173,7 @@ def list_pictures(sources: Sequence[Path], pattern: str | None = None) -> list[P
                     f"{source} holds all frames of a recording, the free gel among them; name the recording, "
                     f"{source.parent}, in which presses are found"
                 )
-            files += found
+            files += pictures
         else:
             files.append(source)
     for file in files:
@@ -200,7 +200,7 @@ def name_apart(paths: Sequence[Path], parts: int) -> list[str]:
     names = [path.name if parts == 1 else f"{path.parent.name}/{path.name}" for path in paths]
     whole = [path.absolute().parts for path in paths]
     for name in {name for name in names if names.count(name) > 1}:
-        alike, more = [k for k, one in enumerate(names) if one == name], parts
+        alike, more = [k for k, path in enumerate(names) if path == name], parts
         different = len({whole[k] for k in alike})
         while len({whole[k][-more:] for k in alike}) < different:
             more += 1

@@ -115,9 +115,9 @@ def _find_empty(names: Sequence[str], masks: Sequence[Mask | None]) -> list[str]
 
 def find_misexposed(names: Sequence[str], views: Sequence[U8]) -> list[str]:
     """Name the presses that a gateway rejects as saturated, and those of another exposure. views: as above."""
-    said = []
+    sentences = []
     if bright := [n for n, view in zip(names, views, strict=True) if check_light(view) is not None]:
-        said.append(
+        sentences.append(
             f"too bright a light in {list_names(bright, len(names))}: a gateway rejects such presses; lower the "
             f"exposure and press again, or leave them out (--leave-out '{bright[0]}')"
         )
@@ -125,12 +125,12 @@ def find_misexposed(names: Sequence[str], views: Sequence[U8]) -> list[str]:
     times = levels / np.sort(levels)[len(levels) // 2]
     odd = np.flatnonzero(np.maximum(times, 1 / times) > _EXPOSED_TIMES).tolist()
     if odd and len(views) >= _FEWEST:
-        said.append(
+        sentences.append(
             f"another exposure in {list_names([names[k] for k in odd], len(names))}: the level of "
             f"'{names[odd[0]]}' is {times[odd[0]]:.2f} times that of the others; fix the exposure and press again, or "
             f"leave them out (--leave-out '{names[odd[0]]}')"
         )
-    return said
+    return sentences
 
 
 def find_blurred(names: Sequence[str], frames: Sequence[U8], views: Sequence[U8]) -> list[str]:
@@ -200,12 +200,12 @@ def merge_copies(
     frames: Sequence[U8], names: Sequence[str], pieces: Sequence[str | None]
 ) -> list[str | None]:
     """Return the pieces, None where unknown: exact copies are of one, whatever they are named. frames: as above."""
-    first, found = dict[bytes, int](), list(pieces)
+    first, merged_pieces = dict[bytes, int](), list(pieces)
     for k in sorted(range(len(frames)), key=lambda k: pieces[k] is None):
         original = first.setdefault(hashlib.sha256(frames[k].tobytes()).digest(), k)
         if original != k:
-            found[original] = found[k] = found[original] or names[original]
-    return found
+            merged_pieces[original] = merged_pieces[k] = merged_pieces[original] or names[original]
+    return merged_pieces
 
 
 def find_repeated(
@@ -216,9 +216,9 @@ def find_repeated(
     Returns the pieces too, None where unknown: copies, and presses that are the same without another piece's name, are
     of one piece, so that none is held out while another is learnt.
     """
-    same, found = list[str](), list(pieces)
+    same, merged_pieces = list[str](), list(pieces)
     if not views:
-        return same, found
+        return same, merged_pieces
     named_first = sorted(range(len(views)), key=lambda k: pieces[k] is None)
     broad = np.stack(_blur(views))[named_first]
     few = broad[:, ::_COARSE, ::_COARSE].reshape(len(broad), -1)  # two that differ here are not the same
@@ -230,14 +230,14 @@ def find_repeated(
             continue
         first, is_copy = named_first[nearest], away[nearest] == 0
         same += [] if is_copy else [names[k]]
-        if is_copy or found[k] is None:
-            found[first] = found[k] = found[first] or names[first]
+        if is_copy or merged_pieces[k] is None:
+            merged_pieces[first] = merged_pieces[k] = merged_pieces[first] or names[first]
     if not same:
-        return [], found
+        return [], merged_pieces
     return [
         f"{list_names(same, len(names))} are the same as another, but for noise: they teach nothing, and count "
         "as one piece where no other is named; give each press once"
-    ], found
+    ], merged_pieces
 
 
 def find_pieces(
@@ -247,16 +247,16 @@ def find_pieces(
 
     The order is empty for presses; a film is of one piece. views: as above.
     """
-    same, found = find_repeated(names, views, pieces)
+    same, merged_pieces = find_repeated(names, views, pieces)
     film = () if any(piece is not None for piece in pieces) else _find_film(names, views)
     if not film:
-        return same, found, ()
+        return same, merged_pieces, ()
     first = names[film[0]]
-    said = (
+    sentence = (
         f"the presses look like frames of one film: from '{first}' on each resembles the one before it. They count as "
         "one piece, and nothing is promised of other presses; lift the part between presses, and press anew"
     )
-    return [*same, said], [first] * len(names), film
+    return [*same, sentence], [first] * len(names), film
 
 
 def _find_film(names: Sequence[str], views: Sequence[U8]) -> tuple[int, ...]:
@@ -302,4 +302,4 @@ def _levels(view: U8, others: Sequence[U8]) -> F64:
         level.applied(one[::2, ::2].astype(np.float32)) - reference[::2, ::2]
         for level, one in zip(levels, others, strict=True)
     )
-    return np.array([np.median(np.sqrt(squared_distance(one))) for one in differences])
+    return np.array([np.median(np.sqrt(squared_distance(difference))) for difference in differences])

@@ -77,15 +77,15 @@ def regions(given: RegionsArguments) -> None:
     fitted = draw_regions(given.bundle, wanted, _find_promise(given, old, wanted), given.threads)
     fitted.write(given.output, overwrite=given.overwrite)
     manifest = fitted.manifest
-    said = manifest.regions.describe() if manifest.regions else ""
-    typer.echo(said or "no region is drawn any more")
+    sentence = manifest.regions.describe() if manifest.regions else ""
+    typer.echo(sentence or "no region is drawn any more")
     new = fitted.bundle()
     if new.blind is not None and "limit_window_up_rows" in new.bank:
         typer.echo(
             f"a change in an ignored place hides faint damage within {3 * WINDOW_MM:g} mm of it, for a press is "
             "compared with its surroundings (docs/limits.md)"
         )
-    if said and new.registration is not None and not new.registration.open().is_unique:
+    if sentence and new.registration is not None and not new.registration.open().is_unique:
         typer.echo(
             "the part looks nearly the same at another place or turn: a press half a pitch off has its regions a pitch "
             "further on (docs/limits.md)"
@@ -96,7 +96,7 @@ def regions(given: RegionsArguments) -> None:
 
 def _change(given: RegionsArguments, old: Bundle) -> list[DrawnRegion]:
     """Return the regions that the bundle is to have. Errors: ConfigError."""
-    kept = {one.name: one for one in (old.manifest.regions.regions if old.manifest.regions else ())}
+    kept = {region.name: region for region in (old.manifest.regions.regions if old.manifest.regions else ())}
     for name in given.remove or ():
         if name not in kept:
             known = suggestion(name, list(kept)) if kept else "it has none"

@@ -87,7 +87,7 @@ def draw_again(
         limit = find_promise(new, regions, nominal, config, created) if is_stricter(new, regions) else None
         return _draw(new, fitted.files.__getitem__, regions, {"threshold": limit}, config.threads)
     except FitError as error:
-        names = " ".join(f"--remove '{one.name}'" for one in regions)
+        names = " ".join(f"--remove '{region.name}'" for region in regions)
         raise FitError(
             f"the regions drawn on bundle {old.where} cannot be kept: {error}. To go on without them: `gelgate bundle "
             f"regions {old.where} {names} -o PLAIN`, and use PLAIN instead"
@@ -119,7 +119,7 @@ def _draw(
         graphs = replace(graphs, head=head)
     new = replace(old, graphs=graphs, bank={**bank, REGION_WEIGHTS: weights})
     scorer = Scorer(new, threads)
-    golden = [score_again(one, scorer) for one in old.golden]
+    golden = [score_again(press, scorer) for press in old.golden]
     files = {entry.file: read(entry.file) for entry in manifest.files}
     keep = partial(keep_file, files)
     changes = _change_facts(manifest, drawn, float(weights.max()))
@@ -171,8 +171,8 @@ def find_promise(
     sound, maps = held_out
     maps = maps * old.bank.get(TAUGHT_WEIGHTS, np.float32(1))
     scores = (maps * weights).max(axis=(1, 2)) * limit.value
-    found = promise_at(scores, limit.value, limit.alpha, sound.specimens)
-    if found is None:
+    threshold = promise_at(scores, limit.value, limit.alpha, sound.specimens)
+    if threshold is None:
         highest = maps[:, weights > 1].max(axis=1)
         usual, most = float(np.median(highest)), float(highest.max())
         harmless = math.floor(100 / most) / 100
@@ -181,7 +181,7 @@ def find_promise(
             f"of them {usual:.2f}, so a factor of {harmless:.2f} fails none of them and {1 / usual:.2f} half; choose "
             "smaller ones, or draw other regions"
         )
-    return found.model_copy(update={"method": f"{limit.method}; the promise with the drawn regions"})
+    return threshold.model_copy(update={"method": f"{limit.method}; the promise with the drawn regions"})
 
 
 def _check_head(old: Bundle) -> None:
@@ -235,7 +235,7 @@ def _measure_contact(old: Bundle, weights: F32, regions: Sequence[DrawnRegion]) 
             f"these regions leave {judged:.1f} mm2 of the {whole:.1f} mm2 that nominal presses touch, expected at "
             f"least {LEAST_JUDGED_MM2:g} mm2: nothing would be judged; make what is ignored smaller"
         )
-    if judged <= _LEAST_SHARE * whole and not any(one.kind == "judge" for one in regions):
+    if judged <= _LEAST_SHARE * whole and not any(region.kind == "judge" for region in regions):
         raise FitError(
             f"these regions ignore {whole - judged:.1f} mm2 of the {whole:.1f} mm2 that nominal presses touch, "
             f"expected less than {100 * (1 - _LEAST_SHARE):g} %: presses would be rejected, for too little of them is "
@@ -263,8 +263,8 @@ def read_regions(path: Path) -> list[DrawnRegion]:
 
 def _region(where: object, table: Any) -> DrawnRegion:
     if not isinstance(table, Mapping) or (unknown := sorted(table.keys() - {*_KEYS})):
-        found = table if not isinstance(table, Mapping) else unknown[0]
-        raise ConfigError(f"{where}: a region has {', '.join(_KEYS)}, found '{found!s:.60}'")
+        stray = table if not isinstance(table, Mapping) else unknown[0]
+        raise ConfigError(f"{where}: a region has {', '.join(_KEYS)}, found '{stray!s:.60}'")
     if missing := [key for key in _KEYS[:3] if key not in table]:
         raise ConfigError(f"{where}: a region lacks {missing[0]}; it has {', '.join(_KEYS)}")
     try:
@@ -309,9 +309,11 @@ def _number(text: str, word: str) -> float:
 def write_regions(regions: Sequence[DrawnRegion]) -> str:
     """Write them as a file that `read_regions` reads."""
     texts = []
-    for one in regions:
-        points = ", ".join(f"[{x:g}, {y:g}]" for x, y in one.points_mm)
-        factor = f"factor = {one.factor:g}\n" if one.kind == "stricter" else ""
-        name = one.name.replace("\\", "\\\\").replace('"', '\\"')
-        texts.append(f'[[regions]]\nname = "{name}"\nkind = "{one.kind}"\n{factor}points_mm = [{points}]\n')
+    for region in regions:
+        points = ", ".join(f"[{x:g}, {y:g}]" for x, y in region.points_mm)
+        factor = f"factor = {region.factor:g}\n" if region.kind == "stricter" else ""
+        name = region.name.replace("\\", "\\\\").replace('"', '\\"')
+        texts.append(
+            f'[[regions]]\nname = "{name}"\nkind = "{region.kind}"\n{factor}points_mm = [{points}]\n'
+        )
     return "\n".join(texts)

@@ -150,7 +150,7 @@ class PressDetector:
         self._interruption_s = 0.0
         events, level = self._take(frame)
         self._came_ns = frame.timestamp_ns
-        found = tuple(
+        full_events = tuple(
             replace(event, frame=self._kept.get(event.sequence)) if isinstance(event, PressSettled) else event
             for event in events
         )
@@ -158,7 +158,7 @@ class PressDetector:
         tracker = self.tracker
         shown = (None, None, None) if level is None else (tracker.seen, tracker.mask, tracker.relief)
         return Look(
-            frame.timestamp_ns, found, state, self.sight, level, interruption_s, tracker.phase, *shown
+            frame.timestamp_ns, full_events, state, self.sight, level, interruption_s, tracker.phase, *shown
         )
 
     @property

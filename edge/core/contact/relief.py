@@ -161,8 +161,8 @@ def find_expected_reach(
         structure = ReliefOfReference(gel.view)
         for press in presses:
             added = gel.difference(_view(press, small))
-            found = reach(touched_mask(added), structure.of(added, ContactSettings.light_levels))
-            expected |= _resize(found.astype(np.uint8), expected.shape) > 0
+            press_reach = reach(touched_mask(added), structure.of(added, ContactSettings.light_levels))
+            expected |= _resize(press_reach.astype(np.uint8), expected.shape) > 0
     return expected if expected.any() else None
 
 
@@ -172,11 +172,11 @@ def find_contact(press: U8, free: U8, size: tuple[int, int]) -> Mask:
     small = _small(press.shape, size)
     gel = Reference(_view(free, small))
     added = gel.difference(_view(press, small))
-    found = touched_mask(added)
-    if not found.any():
+    contact = touched_mask(added)
+    if not contact.any():
         relief = ReliefOfReference(gel.view).of(added, ContactSettings.light_levels).mask.astype(np.uint8)
-        found = cv2.morphologyEx(relief, cv2.MORPH_OPEN, _CLEAR) > 0
-    return _resize(found.astype(np.uint8), press.shape[:2]) > 0
+        contact = cv2.morphologyEx(relief, cv2.MORPH_OPEN, _CLEAR) > 0
+    return _resize(contact.astype(np.uint8), press.shape[:2]) > 0
 
 
 def _small(region: tuple[int, ...], size: tuple[int, int]) -> tuple[int, int]:

@@ -109,15 +109,15 @@ class GelScars:
         # A quiet scar hides nothing: it may have been wiped off.
         places = _Places.of(before.astype(np.float32))
         scarred = press.in_map(places.touch(excess > 0)[places.labels]) & is_masking
-        found = _Places.of(excess)
-        outside, left_out = _outside(press, found)
+        excess_places = _Places.of(excess)
+        outside, left_out = _outside(press, excess_places)
         masked = scarred | press.in_map(left_out)
         rest = np.where(masked, -np.inf, press.score_map)
         blames, scars, shown = list[Blame](), np.zeros_like(before), press.extent()
         if (beyond := rest > press.limit).any():
             is_open = press.in_view(beyond.astype(np.float32)) > 0 if masked.any() else excess > 0
             blames, scars = self._blame_places(
-                press, np.where(is_open, excess, 0), found, self.find_marks(free, left)
+                press, np.where(is_open, excess, 0), excess_places, self.find_marks(free, left)
             )
         self.record = self.record.after(excess > 0, shown, scars, press.moved_mm)
         return Judged(

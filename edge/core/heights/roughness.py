@@ -82,18 +82,18 @@ def measure_roughness(
             f"{cut_off_mm:g} mm needs {needed} pixels ({needed * mm:.1f} mm) one way; name a larger one"
         )
     rough = band(_without_form(region.crop(heights.heights_mm).astype(np.float64)), mm, cut_off_mm)
-    found: list[tuple[str, str, float]] = []
+    measures: list[tuple[str, str, float]] = []
     for along, lines, across in (("x", rough, height), ("y", rough.T, width)):
         if lines.shape[1] >= needed:
             inner = lines[:, end : end + _SECTIONS * section].reshape(across, _SECTIONS, section)
-            found += [(name, along, 1e3 * measure(inner)) for name, measure in _PROFILE.items()]
+            measures += [(name, along, 1e3 * measure(inner)) for name, measure in _PROFILE.items()]
     if min(width, height) >= needed:
         area = rough[end:-end, end:-end]
-        found += [
+        measures += [
             ("Sa", "", 1e3 * float(np.abs(area - area.mean()).mean())),
             ("Sz", "", 1e3 * float(np.ptp(area))),
         ]
-    return [_judge(heights, *one) for one in found]
+    return [_judge(heights, *measure) for measure in measures]
 
 
 _PROFILE: Final[dict[str, Callable[[F64], float]]] = {

@@ -209,26 +209,26 @@ def _lattice_distance(places: F64, area_px: int) -> float | None:
     apart = float(np.median(nearest))
     low, high = (share * apart for share in _APART)
     is_regular = (nearest[:, 0] > low) & (nearest[:, 1] < high)
-    one, other = np.nonzero((distance > low) & (distance < high))
-    across, down = (places[other] - places[one]).T
+    first, other = np.nonzero((distance > low) & (distance < high))
+    across, down = (places[other] - places[first]).T
     # Neighbours lie in directions that are alike but for quarter turns.
-    in_line = abs(np.exp(4j * np.arctan2(down, across)).mean()) if len(one) else 0.0
+    in_line = abs(np.exp(4j * np.arctan2(down, across)).mean()) if len(first) else 0.0
     is_lattice = is_regular.mean() > _REGULAR and in_line > _IN_LINE
     return apart if is_lattice and len(places) * apart**2 > _COVERED * area_px else None
 
 
 def _extend(places: F64, apart: float, shape: tuple[int, ...]) -> F64:
     """Continue a lattice beyond the border of (h, w), and where dots are missing."""
-    found, before = list(places), 0
-    while len(found) > before:
-        before, known = len(found), np.array(found)
-        one, other = np.nonzero(_distances(known, known) < _DIAGONAL * apart)
-        new = 2 * known[one] - known[other]
+    dots, before = list(places), 0
+    while len(dots) > before:
+        before, known = len(dots), np.array(dots)
+        first, other = np.nonzero(_distances(known, known) < _DIAGONAL * apart)
+        new = 2 * known[first] - known[other]
         new = new[(new > -apart).all(axis=1) & (new < np.array([shape[1], shape[0]]) + apart).all(axis=1)]
         for place in new[_distances(new, known).min(axis=1) > 0.6 * apart]:
-            if all(math.hypot(*(place - at)) > 0.6 * apart for at in found[before:]):
-                found.append(place)
-    return np.array(found)
+            if all(math.hypot(*(place - at)) > 0.6 * apart for at in dots[before:]):
+                dots.append(place)
+    return np.array(dots)
 
 
 @dataclass(frozen=True, eq=False)

@@ -62,7 +62,9 @@ def _data_matrices(grey: NDArray[np.uint8]) -> list[Code]:
     barcodes = zxingcpp.read_barcodes(
         grey, formats=zxingcpp.BarcodeFormat.DataMatrix, text_mode=zxingcpp.TextMode.Plain
     )
-    return [Code("datamatrix", printable(one.text)[:MOST_LETTERS]) for one in barcodes if one.text]
+    return [
+        Code("datamatrix", printable(barcode.text)[:MOST_LETTERS]) for barcode in barcodes if barcode.text
+    ]
 
 
 _qr_reader = cache(cv2.QRCodeDetector)

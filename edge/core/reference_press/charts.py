@@ -110,13 +110,13 @@ def signals(values: Sequence[float], limits: Limits) -> tuple[Signal, ...]:
         return ()
     side = math.copysign(1.0, distances[-1])
     last = [side * far for far in distances[-RUN_LENGTH:]]
-    said = {
+    rules = {
         Signal.BEYOND_LIMIT: last[-1] > LIMIT_SIGMAS,
         Signal.TWO_OF_THREE: last[-1] > WARNING_SIGMAS
         and sum(far > WARNING_SIGMAS for far in last[-3:]) >= 2,
         Signal.RUN_OF_EIGHT: len(last) == RUN_LENGTH and min(last) > 0,
     }
-    return tuple(signal for signal, is_so in said.items() if is_so)
+    return tuple(signal for signal, is_so in rules.items() if is_so)
 
 
 @dataclass(frozen=True)
@@ -218,8 +218,8 @@ def judge(presses: Sequence[ReferencePress], learn: int) -> Judgement:
 
 
 def _chart(measure: Measure, presses: Sequence[ReferencePress], learn: int) -> Chart:
-    found = [(one, one.value(measure)) for one in _in_scope(measure, presses)]
-    measured = _without_turns([(one, value) for one, value in found if value is not None], measure.unit)
+    readings = [(one, one.value(measure)) for one in _in_scope(measure, presses)]
+    measured = _without_turns([(one, value) for one, value in readings if value is not None], measure.unit)
     base = [(one, value) for one, value in measured if one.is_as_expected][:learn]
     limits = None
     if len(base) == learn:

@@ -114,20 +114,22 @@ def shifts_alike(
     spectra = np.fft.rfft2(np.stack([slopes[..., 0], slopes[..., 1], energy, shows]), (2 * h, 2 * w))
     across, down, power, field = spectra
     product = np.fft.irfft2(np.abs(across) ** 2 + np.abs(down) ** 2, (2 * h, 2 * w))
-    one, other = (
+    overlap_energy, other = (
         np.fft.irfft2(each, (2 * h, 2 * w)) for each in (np.conj(power) * field, np.conj(field) * power)
     )
-    is_shown = np.minimum(one, other) >= least_inside * float(energy.sum())
-    match = np.where(is_shown, product / np.sqrt(np.maximum(one * other, np.finfo(np.float32).tiny)), -1)
+    is_shown = np.minimum(overlap_energy, other) >= least_inside * float(energy.sum())
+    match = np.where(
+        is_shown, product / np.sqrt(np.maximum(overlap_energy * other, np.finfo(np.float32).tiny)), -1
+    )
     y, x = (np.fft.fftfreq(2 * side, 1 / (2 * side)) for side in (h, w))
     match[np.hypot(y[:, None], x) < away_px] = -1
-    found = list[Pose]()
-    while len(found) < count and match.max() >= least_match:
+    shifts = list[Pose]()
+    while len(shifts) < count and match.max() >= least_match:
         row, column = divmod(int(match.argmax()), 2 * w)
-        found.append(Pose(float(x[column]), float(y[row])))
+        shifts.append(Pose(float(x[column]), float(y[row])))
         rows, columns = (row + _NEAR) % (2 * h), (column + _NEAR) % (2 * w)
         match[rows[:, None], columns] = -1
-    return found
+    return shifts
 
 
 def _vertex(matches: F32, at: tuple[int, int, int]) -> list[float]:

@@ -109,7 +109,7 @@ class FineSearch:
         """The press at the places in these poses, float32 (n, 2 * places), and 1 where it is seen, (n, places)."""
         x, y = np.stack([pose.matrix((self._w, self._h)) for pose in poses], axis=1) @ self._places
         is_seen = (x >= 0) & (x <= self._w - 1) & (y >= 0) & (y <= self._h - 1)
-        columns, rows = (one.astype(np.float32).reshape(-1, min(_ROW, x.shape[1])) for one in (x, y))
+        columns, rows = (axis.astype(np.float32).reshape(-1, min(_ROW, x.shape[1])) for axis in (x, y))
         read = np.asarray(cv2.remap(slopes, columns, rows, cv2.INTER_LINEAR), np.float32).reshape(*x.shape, 2)
         turns = np.array([pose.turn_rad for pose in poses])
         cos, sin = np.cos(turns).astype(np.float32)[:, None], np.sin(turns).astype(np.float32)[:, None]

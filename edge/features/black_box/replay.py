@@ -139,8 +139,8 @@ def _differences(press: ArchivedPress, now: Press, archive: ArchiveFolder) -> It
         yield _of_scores(press.score, score)
     if (now.reason, now.error) != (press.reason, press.error):
         yield f"reason {press.reason or press.error} then, {now.reason or now.error} now"
-    found = None if now.score_map is None else hashlib.sha256(map_bytes(now.score_map)).hexdigest()
-    if found != press.score_map:
+    map_sha256 = None if now.score_map is None else hashlib.sha256(map_bytes(now.score_map)).hexdigest()
+    if map_sha256 != press.score_map:
         yield _of_maps(press, now.score_map, archive)
 
 
@@ -175,9 +175,9 @@ def _machine(press: ArchivedPress, archive: ArchiveFolder) -> Iterator[str]:
     except ArchiveError as error:
         yield f"what judged it then is not known: {error}"
         return
-    found = list(how_they_differ(then, fingerprint(press.threads)))
-    yield from found
-    if not found:
+    differences = list(how_they_differ(then, fingerprint(press.threads)))
+    yield from differences
+    if not differences:
         yield "program, onnxruntime, processor and threads are as they were: look for faulty memory"
 
 
@@ -188,7 +188,7 @@ def _bundles_at(path: Path) -> list[Path]:
     if path.suffix == ".zip" or (path / MANIFEST).is_file():
         return [path]
     inside = sorted(path.iterdir()) if path.is_dir() else []
-    return [one for one in inside if one.suffix == ".zip" or (one / MANIFEST).is_file()]
+    return [press for press in inside if press.suffix == ".zip" or (press / MANIFEST).is_file()]
 
 
 def _digest(path: Path) -> str:

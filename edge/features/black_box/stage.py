@@ -110,7 +110,7 @@ class BlackBox(PressStage):
         )
         kept = (frame, machine, reference, score_map, masked)
         self._write()  # the press before, which the store has not taken yet
-        self._unwritten = record, dict(one for one in kept if one is not None)
+        self._unwritten = record, dict(path for path in kept if path is not None)
         self._frame, self._map = ("", b""), (None, ("", b""))
         # After a fault the archive comes first: no press then names a record that is not there.
         is_sound = self._archive.fault is None and self._archive.why_not() is None

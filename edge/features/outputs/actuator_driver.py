@@ -274,13 +274,13 @@ def _after(pulse: _Pulse, now_ns: int) -> str:
 def levels(rules: Sequence[OutputRule], view: StationView, now_ns: int) -> Mapping[int, bool]:
     """Channel to level, without pulses. A channel of several rules is on where one of them switches it on."""
     conditions = view.conditions()
-    found = {rule.channel: False for rule in rules}
+    channel_levels = {rule.channel: False for rule in rules}
     for rule in rules:
         if rule.pulse_ns is None:
             is_lit = rule.blink_ns is None or now_ns // rule.blink_ns % 2 == 0
             is_on = is_lit if rule.when & conditions else rule.safe and view.state != "ready"
-            found[rule.channel] |= is_on
-    return found
+            channel_levels[rule.channel] |= is_on
+    return channel_levels
 
 
 def next_blink_ns(rules: Iterable[OutputRule], now_ns: int) -> int | None:

@@ -105,8 +105,8 @@ class Outputs(PressStage):
     def note_fault(self, alarm: str, name: str, fault: str | None) -> None:
         """The device of that name cannot be used, or with None can again. The owner threads call it."""
         with self._lock:
-            found = {**self._faults[alarm], name: fault}
-            self._faults[alarm] = {key: text for key, text in found.items() if text is not None}
+            faults = {**self._faults[alarm], name: fault}
+            self._faults[alarm] = {key: text for key, text in faults.items() if text is not None}
             self._say(
                 alarm, join_sentences(f"{key}: {one}" for key, one in sorted(self._faults[alarm].items()))
             )
@@ -239,10 +239,10 @@ def _describe(table: PluginTable, find: Callable[[str], Any]) -> str:
     """Describe the device of this table, for a person. Errors: DeviceNotFound, ConfigError."""
     plugin = find(table.plugin)
     discovered: Sequence[DiscoveredPort] = plugin.discover(plugin.Options.model_validate(table.options))
-    usable = [f"{one.product} at {one.place}" for one in discovered if one.refusal is None]
+    usable = [f"{device.product} at {device.place}" for device in discovered if device.refusal is None]
     if usable:
         return "; ".join(usable)
-    seen = "; ".join(one.refusal for one in discovered if one.refusal)
+    seen = "; ".join(device.refusal for device in discovered if device.refusal)
     raise DeviceNotFound(
         f"nothing for '{table.plugin}' is plugged in"
         + (f" ({seen})" if seen else "; check the cable and the rights, then `gelgate devices`")

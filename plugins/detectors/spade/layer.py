@@ -209,8 +209,10 @@ class Layer:
                 [window_nearest(tile, gallery[:, t], self.window) for t, tile in enumerate(tiles)]
             )
         flat = tiles.reshape(len(tiles), -1, rows.shape[1])
-        found = [nearest(tile, self.p.gallery_rows(gallery[:, t])).distances for t, tile in enumerate(flat)]
-        return np.stack(found).reshape(tiles.shape[:3])
+        distances = [
+            nearest(tile, self.p.gallery_rows(gallery[:, t])).distances for t, tile in enumerate(flat)
+        ]
+        return np.stack(distances).reshape(tiles.shape[:3])
 
 
 def _unit(press: NDArray[np.floating], floor: F32 | None, cells: NDArray[np.int64] | slice = EVERY) -> F64:
