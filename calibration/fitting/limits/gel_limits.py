@@ -37,9 +37,6 @@ _NEAR_MM, _ABOVE, _QUARTILE, _USUAL = 0.6, 1.5, 0.25, 1.25
 _SHOWN, _BEYOND_SECOND = 0.75, 2.0
 _RIM_MM, _SHOWN_AT_RIM, _AT_RIM = 1.0, 0.85, 1.4
 _PRESSES_EACH = 40
-# Of 16 presses of two real balls 28 of 248 further sound ones failed by limits of the gel, where 15 were promised, and
-# 10 without; of 20 presses 8 of 84, and 9 without.
-_FEWEST = 20
 
 
 def find_near(maps: F32, pixels_per_mm: float, reach_mm: float = _NEAR_MM) -> F32:
@@ -117,8 +114,6 @@ def choose_limits(
         return LimitsChosen(Choice(PLAIN, why), evidence)
     usual = LimitsChosen(choose_limit(evidence), evidence)
     if shown.registered is None or damaged.registered is None or not evidence.is_score_a_maximum:
-        return usual
-    if len(shown.registered) < _FEWEST:
         return usual
     lying = np.stack(
         [

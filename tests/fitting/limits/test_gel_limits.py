@@ -51,22 +51,22 @@ def scored(maps: np.ndarray, poses: list[Registered]) -> ScoredPresses:
     return replace(whole, scores=whole.highest(maps))
 
 
-def chosen(seed: int, is_cut: bool = True, presses: int = PRESSES) -> LimitsChosen:
+def chosen(seed: int, is_cut: bool = True) -> LimitsChosen:
     """The choice of a fit to these presses, each with damage in the middle of the part."""
     rng = np.random.default_rng(seed)
-    poses = posed(presses, rng)
+    poses = posed(PRESSES, rng)
     maps = sound_maps(poses, rng, is_cut)
     masks = np.zeros(maps.shape, np.bool_)
     masks[:, 40:43, 30:33] = True
     masks &= np.stack([one.seen for one in poses])
-    of, frames = np.arange(presses), np.zeros((presses, 1, 1, 3), np.uint8)
+    of, frames = np.arange(PRESSES), np.zeros((PRESSES, 1, 1, 3), np.uint8)
     evidence = Evidence(
         HeldOut(scored(maps, poses), scored(np.where(masks, DAMAGE, maps).astype(np.float32), poses)),
         scored(0.9 * maps, poses),
         None,
         DamagedPresses(frames, of, masks),
-        [np.arange(k, presses, 5) for k in range(5)],
-        (None,) * presses,
+        [np.arange(k, PRESSES, 5) for k in range(5)],
+        (None,) * PRESSES,
         0.05,
         PX,
     )
@@ -86,11 +86,6 @@ def test_a_cut_of_the_gel_does_not_rule_the_limit_of_parts_anywhere() -> None:
 
 def test_a_gel_without_cuts_has_one_limit() -> None:
     assert chosen(0, is_cut=False).gel_limits is None
-
-
-def test_of_few_presses_the_gel_has_one_limit() -> None:
-    assert chosen(0, presses=20).gel_limits is not None
-    assert chosen(0, presses=19).gel_limits is None
 
 
 def test_new_sound_presses_fail_no_more_than_promised() -> None:
