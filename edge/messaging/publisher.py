@@ -11,6 +11,7 @@ import random
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -18,6 +19,7 @@ from typing import Final
 from edge.core.backoff import Backoff
 from edge.core.errors import StoreError
 from edge.core.ports import Clock, Message, ReportsFaults, Sink
+from edge.core.printable import write_count
 from edge.messaging.sink_worker import RetainedState, SinkCounters, SinkWorker
 from edge.store.outbox import Outbox, OutboxStatus
 
@@ -203,6 +205,9 @@ class Publisher:
                 CLOSE_S,
             )
             return
+        with suppress(StoreError):  # closed before, or a disk that fails
+            if self._sinks and (rows := self._outbox.status().rows):
+                log.info("%s in the outbox: sent when the gateway runs again", write_count(rows, "message"))
         self._outbox.close()
         self._lock.close()
 

@@ -12,8 +12,15 @@ from edge.core.imaging.marker_dots import find_marker_dots
 
 ROWS, COLUMNS = np.mgrid[:120, :160]
 RNG = np.random.default_rng(0)
+START = RNG.bit_generator.state
 MM = 7.9
 U8 = np.ndarray
+
+
+@pytest.fixture(autouse=True)
+def same_noise() -> None:
+    """Each test has the same noise, whatever ran before."""
+    RNG.bit_generator.state = START
 
 
 def light(tilt: float = 0.0) -> np.ndarray:

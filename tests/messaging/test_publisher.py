@@ -1,5 +1,6 @@
 """The publisher: a thread for each sink, which ends in time and keeps what was not sent."""
 
+import logging
 import os
 import random
 import threading
@@ -82,20 +83,26 @@ def test_a_sink_that_was_away_for_long_is_soon_tried_again(path: Path) -> None:
     assert 0 < max(pauses) <= 0.5
 
 
-def test_stopping_while_a_sink_is_away_keeps_its_rows(store: Store, path: Path) -> None:
-    """The next process finds them."""
+def test_stopping_while_a_sink_is_away_keeps_its_rows(
+    store: Store, path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The end says how many, and the next process finds them."""
+    caplog.set_level(logging.INFO)
     sink = ScriptedSink()
     sink.is_away = True
     running = publisher(path, mqtt=sink)
     running.start()
     record(store, make_press(1))
     running.stop(drain_s=1)
+    assert "messages in the outbox: sent when the gateway runs again" in caplog.text
 
     sink.is_away = False
     running = publisher(path, mqtt=sink)
     running.start()
+    caplog.clear()
     running.stop(drain_s=60)
     assert [r["is_replayed"] for r in sink.results()] == [True]
+    assert not [text for text in caplog.messages if "in the outbox" in text]
 
 
 @pytest.mark.parametrize("hangs_in", ["send", "close"])
