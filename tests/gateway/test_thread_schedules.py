@@ -306,7 +306,8 @@ class Answered:
     def __init__(self, lock: Any = None) -> None:
         self.clock = ManualClock()
         machine = HandshakeMachine(10**10, None, self.clock.monotonic_ns(), is_command=False)
-        self.port = Port(machine, None, None, self.clock, lambda *given: None)  # type: ignore[arg-type]
+        store = SimpleNamespace(begin_act=lambda *given: None)  # takes what is refused in some orders
+        self.port = Port(machine, None, store, self.clock, lambda *given: None)  # type: ignore[arg-type]
         if lock is not None:
             self.port._lock = lock
         now_ns = self.clock.monotonic_ns()
