@@ -23,7 +23,7 @@ MOST_HELD = 8
 """Frames and presses in memory when none waits: the newest ones."""
 
 REPORTED_S = 12.0
-"""A station reports every ten seconds, and then says what it has dropped."""
+"""A station reports every ten seconds, where its disk can be read, and then says what it has dropped."""
 
 
 def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
@@ -42,7 +42,9 @@ def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
     if size > room_mb * 1e6:
         yield f"{size} bytes wait in an outbox of {room_mb} MB"
     is_unsaid = station.is_drop_open and "outbox_full" not in station.loop.parts.status.view().alarms
-    unsaid_ns = station.so_since("a drop is not said", is_unsaid and not station.is_held_up)
+    disk = station.disk.unsynced
+    is_kept_from_it = station.is_held_up or (disk is not None and disk.fails is not None)
+    unsaid_ns = station.so_since("a drop is not said", is_unsaid and not is_kept_from_it)
     if unsaid_ns is not None and world.clock.now_ns - unsaid_ns > REPORTED_S * S:
         yield f"messages were dropped {REPORTED_S} s ago, and no alarm says so"
     taken = [broker.results.keys() | broker.pieces.keys() for broker in world.brokers.values()]

@@ -345,4 +345,24 @@ FAILED = (
         schedule=(Fault(at_s=12.459467, name="freeze", seed=3835830209),),
         says="lift was shown at # s, and press # was not recorded yet",
     ),
+    # A report that a failing disk kept from saying what was dropped is made with the next one.
+    Failure(
+        seed=263341445,
+        presses=3,
+        chosen=Chosen(
+            sloth_s=0.01,
+            fps=9.0,
+            outbox_mb=0.03,
+            has_file=True,
+            has_shadow=True,
+            has_robot=True,
+            meetings=(("fill disk", "lose power"), ("hang up", "step clock"), ("plc", "stop"), ("blind",)),
+        ),
+        schedule=(
+            Fault(at_s=1.460029, name="fill disk", seed=3521881167),
+            Fault(at_s=4.223694, name="relay", seed=2982378721),
+            Fault(at_s=10.878587, name="bad disk", seed=1471247335),
+        ),
+        says="messages were dropped # s ago, and no alarm says so",
+    ),
 )
