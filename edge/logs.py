@@ -48,7 +48,7 @@ def start(log_format: LogFormat, *, is_verbose: bool) -> None:
 
 
 class LineWriter:
-    """Writes lines on a stream, each on a thread of its own: where nobody reads, as at a terminal that hangs, a write
+    """Writes lines on a stream by a thread of its own: where nobody reads, as at a terminal that hangs, a write
     does not end, also where there was room for its beginning. One thread uses it at a time."""
 
     def __init__(self, stream: TextIO) -> None:

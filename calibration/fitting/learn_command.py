@@ -102,7 +102,6 @@ def learn(given: LearnArguments) -> None:
 
     # Of a gel on which the bundle is not proven the first presses all stand apart, and have to be learnt.
     doubtful = [k for k in learnt if Path(presses.names[k]).stem not in confirmed.on_new_gel]
-
     before = judge_presses(old, confirmed, database, given.threads)
 
     def compare(fitted: Fitted) -> Comparison:

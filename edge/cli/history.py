@@ -101,8 +101,7 @@ def history(
     elif output is not None:
         typer.echo(f"{write_count(write_history(output, rows), 'press')} in {output}")
     elif as_json:
-        for row in rows:
-            typer.echo(json.dumps(asdict(row)))
+        _print_json(rows)
     else:
         _print(rows, count_verdicts(path, query) if count is None else None, path)
 
@@ -192,6 +191,11 @@ def _print_shadows(rows: Iterable[HistoryRow]) -> None:
             typer.echo(f"  {press.press_id}  {press.verdict}, shadow {press.other}{said_of_it}")
     if not pairs:
         typer.echo("no press that fits was judged by a shadow")
+
+
+def _print_json(rows: Iterable[HistoryRow]) -> None:
+    for row in rows:
+        typer.echo(json.dumps(asdict(row)))
 
 
 def _print(rows: Iterable[HistoryRow], totals: Mapping[str, int] | None, database: Path) -> None:

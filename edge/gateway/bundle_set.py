@@ -110,9 +110,9 @@ class BundleSet:
         if (other := self.shadows.get(new.part)) is not None:
             raise ConfigError(f"{where} is for {new.part}, as {other.path} is; name one of them")
         for name in ("profile", "region"):
-            used_entry, two = getattr(used.bundle.manifest, name), getattr(new.bundle.manifest, name)
-            if used_entry != two:
-                fields, others = asdict(used_entry), asdict(two)
+            used_entry, new_entry = getattr(used.bundle.manifest, name), getattr(new.bundle.manifest, name)
+            if used_entry != new_entry:
+                fields, others = asdict(used_entry), asdict(new_entry)
                 differ = ", ".join(
                     f"{key} {others[key]}, not {fields[key]}" for key in fields if fields[key] != others[key]
                 )
@@ -141,9 +141,9 @@ class BundleSet:
 def _check_same_reading(first: Bundle, other: Bundle) -> None:
     """A switch between presses leaves the sensor running and keeps the learnt picture of the free gel."""
     for name in ("native", "border", "controls"):
-        first_setting, two = getattr(first.profile, name), getattr(other.profile, name)
-        if first_setting != two:
+        first_setting, other_setting = getattr(first.profile, name), getattr(other.profile, name)
+        if first_setting != other_setting:
             raise BundleMismatch(
-                f"bundle {other.where} needs the sensor's {name} {two}, bundle {first.where} of the same station "
-                f"{first_setting}; fit both with one profile"
+                f"bundle {other.where} needs the sensor's {name} {other_setting}, bundle {first.where} of the same "
+                f"station {first_setting}; fit both with one profile"
             )

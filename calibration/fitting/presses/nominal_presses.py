@@ -238,9 +238,8 @@ def read_presses(
     pictures = _pictures(files, profile, resize)
     names = name_apart([path for path, _ in pictures], 2)
     kept = [k for k, name in enumerate(names) if name not in gathered.unwanted]
-    given = dict(
-        zip(name_apart([path for path, _ in free], 2), (picture for _, picture in free), strict=True)
-    )
+    free_names = name_apart([path for path, _ in free], 2)
+    given = {name: picture for name, (_, picture) in zip(free_names, free, strict=True)}
     gathered.choose_gel([pictures[k][1] for k in kept], given)
     # Presses of a recording were made one by one, and a robot may repeat them well.
     pieces = [specimens.get(path) or specimen_of(path) for path, _ in pictures]
@@ -250,11 +249,7 @@ def read_presses(
     contact = _contacts(gathered.free)
     for name, piece, (_, picture) in zip(names, pieces, pictures, strict=True):
         gathered.add(picture, name, piece, contact(picture))
-    for name in sorted(gathered.unwanted - set(gathered.left_out)):
-        known = [press.name for press in gathered.presses]
-        if alike := [one for one in known if one.endswith(f"/{name}")]:
-            raise FitError(f"several presses are named '{name}'; say which is left out: {', '.join(alike)}")
-        raise FitError(f"no press is named '{name}' to be left out; {suggestion(name, known)}")
+    _require_left_out(gathered)
     if not gathered.presses and gathered.refused:
         raise FitError("no press was found: " + "; ".join(gathered.refused))
     if not gathered.presses:
@@ -263,6 +258,15 @@ def read_presses(
             "folder of pictures"
         )
     return gathered.finish()
+
+
+def _require_left_out(gathered: _Gathered) -> None:
+    """Refuse a name to leave out that no press has, or several have. Errors: FitError."""
+    for name in sorted(gathered.unwanted - set(gathered.left_out)):
+        known = [press.name for press in gathered.presses]
+        if alike := [one for one in known if one.endswith(f"/{name}")]:
+            raise FitError(f"several presses are named '{name}'; say which is left out: {', '.join(alike)}")
+        raise FitError(f"no press is named '{name}' to be left out; {suggestion(name, known)}")
 
 
 def gather_presses(

@@ -78,7 +78,6 @@ def blame(left: float | None, repeats: Repeats, wide_mm: float) -> Blame:
 def together(blames: list[Blame]) -> Blame | None:
     """Choose the blame of a press: damage counts before doubt, and doubt before the gel; None without any place."""
     for cause in (Cause.PART, Cause.UNSURE, Cause.GEL):
-        press_blame = next((one for one in blames if one.cause is cause), None)
-        if press_blame is not None:
-            return press_blame
+        if of_cause := [one for one in blames if one.cause is cause]:
+            return of_cause[0]
     return None

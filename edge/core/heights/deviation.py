@@ -71,7 +71,7 @@ def measure_deviation(
         return Deviation(None, _round(u95), remark=remark)
     # Half of the depth is as unsure as the depth: of a ring that is told too deep on one side an arc is above it.
     moved = [_extent(shown, (raised + by) / 2, peak, px_mm)[0] - length for by in (-told, told)]
-    size_u95 = max(abs(heights) for heights in moved) + _EDGES_PX * px_mm + calibration.scale_u95 * length
+    size_u95 = max(abs(shift) for shift in moved) + _EDGES_PX * px_mm + calibration.scale_u95 * length
     depth = _round(-sign * raised), _round(u95)
     if width < _NARROW_MM:
         return Deviation(

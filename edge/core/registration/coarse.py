@@ -114,12 +114,12 @@ def shifts_alike(
     spectra = np.fft.rfft2(np.stack([slopes[..., 0], slopes[..., 1], energy, shows]), (2 * h, 2 * w))
     across, down, power, field = spectra
     product = np.fft.irfft2(np.abs(across) ** 2 + np.abs(down) ** 2, (2 * h, 2 * w))
-    overlap_energy, other = (
+    part_energy, press_energy = (
         np.fft.irfft2(each, (2 * h, 2 * w)) for each in (np.conj(power) * field, np.conj(field) * power)
     )
-    is_shown = np.minimum(overlap_energy, other) >= least_inside * float(energy.sum())
+    is_shown = np.minimum(part_energy, press_energy) >= least_inside * float(energy.sum())
     match = np.where(
-        is_shown, product / np.sqrt(np.maximum(overlap_energy * other, np.finfo(np.float32).tiny)), -1
+        is_shown, product / np.sqrt(np.maximum(part_energy * press_energy, np.finfo(np.float32).tiny)), -1
     )
     y, x = (np.fft.fftfreq(2 * side, 1 / (2 * side)) for side in (h, w))
     match[np.hypot(y[:, None], x) < away_px] = -1
