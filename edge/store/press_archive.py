@@ -149,6 +149,7 @@ class PressArchive:
         self._held: Counter[Digest] = Counter()  # of those that people spoke of, without the newest
         self._sizes: dict[Digest, int] = {}
         self._bytes = self._held_bytes = 0
+        self._unread: set[Digest] = set()  # of an earlier process
         self._is_open = False
         self._number: Mapping[str, int] = {}
 
@@ -192,14 +193,15 @@ class PressArchive:
             self._open()
         self._make_folders()
         for digest, data in objects.items():
-            path, is_known = self._folder / OBJECTS / digest, digest in self._sizes
-            # Somebody may have removed what later presses share with earlier ones.
-            if not (is_known and path.exists()):
+            path = self._folder / OBJECTS / digest
+            # Somebody may have removed what later presses share with earlier ones, or a power cut damaged it.
+            if not (_holds(path, data) if digest in self._unread else digest in self._sizes and path.exists()):
                 _write(path, data)
-            if not is_known:
-                self._sizes[digest] = len(data)
-                self._bytes += len(data)
-                self._held_bytes += len(data) if digest in self._held else 0
+            self._unread.discard(digest)
+            added = len(data) - self._sizes.get(digest, 0)
+            self._sizes[digest] = len(data)
+            self._bytes += added
+            self._held_bytes += added if digest in self._held else 0
         record = press.encode()
         _write(self._folder / PRESSES / f"{press.press_id}.json", record)
         self._add(press.press_id, press.objects)
@@ -219,6 +221,7 @@ class PressArchive:
             (self._folder / OBJECTS / digest).unlink()
             del self._sizes[digest]
         self._bytes = sum(self._sizes.values())
+        self._unread = set(self._sizes)
         self._is_open = True
 
     def _make_folders(self) -> None:
@@ -283,6 +286,13 @@ def _records(folder: Path) -> Iterator[tuple[str, tuple[Digest, ...]]]:
     for press_id in list_presses(folder):
         record = (folder / PRESSES / f"{press_id}.json").read_bytes()
         yield press_id, tuple(digest.decode() for digest in _DIGEST.findall(record))
+
+
+def _holds(path: Path, data: bytes) -> bool:
+    try:
+        return path.read_bytes() == data
+    except OSError:
+        return False
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -394,6 +394,27 @@ def test_what_was_removed_from_a_running_archive_is_written_again(
     assert [kept.read(digest, "object") for digest in objects] == [*objects.values()]
 
 
+@pytest.mark.parametrize("left", [b"", b"mach\0\0\0", b"machine\0", None])
+def test_what_a_power_cut_damaged_is_written_again(tmp_path: Path, made: Played, left: bytes | None) -> None:
+    """A start finds what presses share short, torn or gone; the next press has it whole, and its size is right."""
+    press, folder = made.record(0), tmp_path / "archive"
+    frame, machine = (hashlib.sha256(data).hexdigest() for data in (b"frame", b"machine"))
+    one = press.model_copy(
+        update={"frame": frame, "machine": machine, "reference": None, "score_map": None, "masked": None}
+    )
+    objects = {frame: b"frame", machine: b"machine"}
+    PressArchive(folder, 10, 1 << 20).keep(one.model_copy(update={"press_id": made.ids[0]}), objects)
+    damaged = folder / "objects" / machine
+    damaged.unlink() if left is None else damaged.write_bytes(left)
+    archive = PressArchive(folder, 10, len(b"framemachine"))
+    archive.open()
+    archive.keep(one.model_copy(update={"press_id": made.ids[1]}), objects)
+
+    kept = ArchiveFolder(folder)
+    assert [kept.read(digest, "object") for digest in objects] == [*objects.values()]
+    assert list_presses(folder) == sorted(made.ids[:2])  # the two take no more than the room
+
+
 def test_an_archive_that_is_off_keeps_nothing(configure: Configure) -> None:
     """And a replay says so."""
     played, _ = play(configure(tables="[archive]\npresses = 0\n"))
