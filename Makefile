@@ -212,9 +212,10 @@ ROUNDS ?= 60
 soak: $(VENV)/.test
 	$(BIN)/python tests/support/soak.py --rounds $(ROUNDS)
 
-# The gateway in a simulated world: new seeds for ten minutes, and the table of what was tried; docs/simulation.md.
+# The gateway in a simulated world: new seeds until Ctrl-C, or for SIM_SECONDS, and the table of what was tried; a seed that
+# fails is kept in .simulation; docs/simulation.md.
 NEW_SEED ?= $(shell date +%y%j%H%M)
-SIM_SECONDS ?= 600
+SIM_SECONDS ?= 0
 sim: $(VENV)/.test
 	PYTHONPATH=tests/support $(BIN)/python -m simulation --seed $(NEW_SEED) --seconds $(SIM_SECONDS) --jobs 2
 

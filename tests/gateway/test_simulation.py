@@ -1,8 +1,10 @@
 """The station in a simulated world, a few seeds of it: docs/simulation.md; `make sim` goes on with new ones."""
 
+import multiprocessing
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -13,6 +15,7 @@ from simulation.planted import ROOT
 from simulation.planted_bugs import BUGS, Bug
 from simulation.planted_by_others import BY_OTHERS
 from simulation.schedule import Simulation
+from simulation.search import Player, play_all
 from simulation.shrinking import Failure, kind_of, shrink
 from simulation.surroundings import install_plugins
 
@@ -82,6 +85,10 @@ def test_a_planted_fault_is_named_and_its_schedule_plays_again(
     assert pasted.play(bundles, tmp_path).faults == []
 
 
+def end(*given: object) -> float:
+    raise ZeroDivisionError("planted")
+
+
 @pytest.mark.parametrize(
     ("kind", "function", "says"),
     [
@@ -93,10 +100,6 @@ def test_an_error_that_nobody_foresaw_is_a_failure_with_a_name(
     kind: type, function: str, says: str, bundles: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It ends the run, or is logged where the program goes on; so it is shrunk and pasted, and other seeds follow."""
-
-    def end(*given: object) -> float:
-        raise ZeroDivisionError("planted")
-
     monkeypatch.setattr(kind, function, end)
     run = Simulation(7, 3, bundles, tmp_path / "run", Chosen(rates={"request": 60.0})).play()
     assert run.faults[0].startswith(says)
@@ -131,3 +134,28 @@ def test_a_bug_can_be_planted(bug: Bug) -> None:
     """Its text is in the program, once; `make sim-planted` finds it."""
     assert (ROOT / bug.file).read_text(encoding="utf-8").count(bug.old) == 1
     assert bug.new != bug.old
+
+
+@pytest.fixture
+def player(bundles: list[Path], tmp_path: Path) -> Player:
+    stop = multiprocessing.get_context("spawn").Event()
+    return Player(1, bundles, tmp_path, stop, is_shrinking=False, kept=tmp_path / "kept")
+
+
+def test_what_fails_is_kept_in_a_file(player: Player, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What happened, what must not be, and what is pasted; also of a search that nobody sees."""
+    monkeypatch.setattr(SinkWorker, "step", end)
+    run, path = player.play(7)
+    assert path is not None
+    text = path.read_text()
+    assert all(line in text for line in [*run.events, *run.faults, Failure.of(run).text()])
+    assert "--seed 7 --runs 1 --presses 1" in text
+
+
+def test_a_search_in_two_processes_ends_when_it_is_stopped(player: Player) -> None:
+    """The runs that are on are ended, and no other is begun."""
+    runs = play_all(player, count(1), 2)
+    assert next(runs)[0].faults == []
+    player.stop.set()
+    assert len(list(runs)) <= 2
+    assert not any(player.folder.glob("run*"))

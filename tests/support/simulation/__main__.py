@@ -1,28 +1,24 @@
-"""`make sim`: runs of the station in a simulated world; the table of what was tried, and each failure, shrunk."""
+"""`make sim`: runs of the station in a simulated world until it is stopped; then the table of what was tried."""
 
 import argparse
-import gc
 import multiprocessing
-import shutil
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import count
 from pathlib import Path
-
-import cv2
 
 from simulation.bundles import both_bundles
 from simulation.conditions import SOMETIMES
 from simulation.options import MEMORY
-from simulation.schedule import Run, Simulation
-from simulation.shrinking import Failure, kind_of, shrink
-from simulation.surroundings import install_plugins
+from simulation.schedule import Run
+from simulation.search import Player, play_all, stop_at_signal
+
+SAID_S = 10.0
+"""How often a search says how far it is."""
 
 TABLE = {
     "presses": ("presses",),
@@ -52,9 +48,11 @@ class Total:
     reached: Counter[str] = field(default_factory=Counter)
     counted: Counter[str] = field(default_factory=Counter)
     failed: list[Run] = field(default_factory=list)
+    kept: list[Path] = field(default_factory=list)
+    """Their files."""
 
-    def add(self, run: Run) -> None:
-        """Add one run."""
+    def add(self, run: Run, path: Path | None) -> None:
+        """Add one run, and its file where it has failed."""
         self.runs, self.turns, self.events = (
             self.runs + 1,
             self.turns + run.turns,
@@ -62,11 +60,22 @@ class Total:
         )
         self.reached += run.reached
         self.counted += run.counted
-        if run.faults:
+        if path is not None:
             self.failed.append(run)
+            self.kept.append(path)
+
+    def summary(self, seconds: float) -> str:
+        """Return one line: how much, how fast, and how far."""
+        reached = sum(self.reached[name] > 0 for name in SOMETIMES)
+        return (
+            f"{self.runs} runs in {seconds:.0f} s: {self.counted['presses'] / seconds:.1f} presses, "
+            f"{self.turns / seconds:.0f} turns and "
+            f"{self.events / seconds:.0f} events a second; {reached} of {len(SOMETIMES)} conditions reached; "
+            f"{len(self.failed)} runs failed"
+        )
 
     def lines(self, seconds: float) -> Iterator[str]:
-        """The table, what was reached and what never."""
+        """Return the table, what was reached and what never, and the files of what failed."""
         yield from (f"{number:8d} {name}" for name, number in sorted(self.reached.items()))
         yield from (f"   NEVER {name}" for name in SOMETIMES if not self.reached[name])
         for name, keys in TABLE.items():
@@ -78,23 +87,15 @@ class Total:
             "passed unjudged": ("passed", "shown"),
         }.items():
             yield f"{sum(word in said for word in words):10d} {what}"
-        presses = self.counted["presses"]
-        reached = sum(self.reached[name] > 0 for name in SOMETIMES)
-        yield (
-            f"{self.runs} runs in {seconds:.0f} s: {presses / seconds:.1f} presses, "
-            f"{self.turns / seconds:.0f} turns and "
-            f"{self.events / seconds:.0f} events a second; {reached} of {len(SOMETIMES)} conditions reached; "
-            f"{len(self.failed)} runs failed"
-        )
+        yield self.summary(seconds)
+        yield from (f"kept in {path}" for path in self.kept)
 
 
 def main() -> int:
     words = argparse.ArgumentParser(prog="PYTHONPATH=tests/support python -m simulation", description=__doc__)
     words.add_argument("--seed", type=int, default=0, help="the first seed")
-    words.add_argument(
-        "--runs", type=int, default=0, help="seeds, one after the other; 0: until it is stopped"
-    )
-    words.add_argument("--seconds", type=float, default=0, help="end after the run that is on then")
+    words.add_argument("--runs", type=int, default=0, help="so many seeds; 0: until Ctrl-C")
+    words.add_argument("--seconds", type=float, default=0, help="begin no run after so long")
     words.add_argument("--jobs", type=int, default=1, help="processes, each with seeds of its own")
     words.add_argument("--presses", type=int, default=0, help="presses of a run; by default they are drawn")
     words.add_argument("--events", action="store_true", help="print what happens")
@@ -107,79 +108,35 @@ def main() -> int:
         help="end with the first failure, or after so many s of processor time",
     )
     given = words.parse_args()
-    begun, total = time.perf_counter(), Total()
+    begun, total, stop = time.perf_counter(), Total(), multiprocessing.get_context("spawn").Event()
+    stop_at_signal(stop)
     with tempfile.TemporaryDirectory(dir=MEMORY) as made:
         folder = Path(made)
         bundles = given.bundle or both_bundles(folder)
-        if given.jobs == 1:
-            for run in _plays(0, given, bundles, folder):
-                total.add(run)
-        else:
-            from simulation.__main__ import play_all  # a process that is spawned knows it by this name
-
-            # A fork would not have the threads that OpenCV has begun for the bundles, and would wait for them.
-            with multiprocessing.get_context("spawn").Pool(given.jobs) as pool:
-                parts = pool.imap_unordered(
-                    partial(play_all, given=given, bundles=bundles, folder=folder), range(given.jobs)
-                )
-                for part in parts:
-                    for run in part:
-                        total.add(run)
+        is_telling = given.events or given.runs == 1
+        player = Player(given.presses, bundles, folder, stop, not given.no_shrink, is_telling)
+        said, begun_processor = time.perf_counter(), time.process_time()
+        for run, path in play_all(player, _seeds(given), given.jobs):
+            total.add(run, path)
+            now = time.perf_counter()
+            if now - said > SAID_S:
+                said = now
+                print(total.summary(now - begun), flush=True)
+            processor_s = time.process_time() - begun_processor
+            if given.until_failed and (path or processor_s > given.until_failed):
+                stop.set()
         print("\n".join(total.lines(time.perf_counter() - begun)), flush=True)
-        if total.failed and not given.no_shrink:
-            with contextmanager(install_plugins)(folder / "packages"):
-                for run in {kind_of(run.faults[0]): run for run in reversed(total.failed)}.values():
-                    _shrink(run, bundles, folder)
     return 1 if total.failed else 0
 
 
-def play_all(job: int, given: argparse.Namespace, bundles: Sequence[Path], folder: Path) -> list[Run]:
-    """Play the seeds of one process."""
-    return list(_plays(job, given, bundles, folder))
-
-
-def _plays(job: int, given: argparse.Namespace, bundles: Sequence[Path], folder: Path) -> Iterator[Run]:
-    """Play every job-th seed; a failure is printed."""
-    cv2.setNumThreads(1)
-    gc.collect()
-    gc.freeze()  # each run asks what is in memory, which is not what was there before
-    begun, begun_processor = time.perf_counter(), time.process_time()
-    seeds = (
-        range(given.seed + job, given.seed + given.runs, given.jobs)
-        if given.runs
-        else count(given.seed + job, given.jobs)
-    )
-    with contextmanager(install_plugins)(folder / f"packages{job}"), suppress(KeyboardInterrupt):
-        for seed in seeds:
-            simulation = Simulation(seed, given.presses, bundles, folder / f"run{seed}")
-            run = simulation.play()
-            shutil.rmtree(folder / f"run{seed}")
-            if given.events or run.faults or given.runs == 1:
-                said = [
-                    f"seed {seed}: {run.chosen}",
-                    *run.events,
-                    *(f"seed {seed}: {fault}" for fault in run.faults),
-                ]
-                print("\n".join(said), flush=True)
-            yield run
-            is_late = given.seconds and time.perf_counter() - begun > given.seconds
-            processor_s = time.process_time() - begun_processor
-            if is_late or (given.until_failed and (run.faults or processor_s > given.until_failed)):
-                break
-
-
-def _shrink(run: Run, bundles: Sequence[Path], folder: Path) -> None:
-    """Print the shortest schedule that fails alike."""
-    failure = Failure.of(run)
-    if kind := failure.says:
-        print(
-            f"seed {run.seed} fails: {kind} Shrinking {len(failure.schedule)} faults, {failure.presses} presses ...",
-            flush=True,
-        )
-    shortest = shrink(failure, lambda tried: tried.play(bundles, folder).faults)
-    print(
-        f"{len(shortest.schedule)} faults, {shortest.presses} presses; for FAILED in failed.py:\n{shortest.text()}"
-    )
+def _seeds(given: argparse.Namespace) -> Iterator[int]:
+    """Give one after the other, until their time, or their number, is over."""
+    begun = time.perf_counter()
+    for number in count():
+        is_late = given.seconds and time.perf_counter() - begun > given.seconds
+        if is_late or number == (given.runs or -1):
+            break
+        yield given.seed + number
 
 
 if __name__ == "__main__":
