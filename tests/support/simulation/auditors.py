@@ -159,7 +159,10 @@ def audit_replay(world: World, station: Station, bundles: Sequence[Path]) -> Ite
             replayed = judge_again(press, archive, again.inspector(press))
         except ArchiveError as error:  # the archive drops, and may be lost with the power
             own = next(seen for seen in station.seen if seen.press_id == press_id)
-            is_before_crash = any(0 <= killed_ns - own.noted_ns < S for killed_ns in station.killed_ns)
+            # A loop that hangs when it has recorded a press writes its files when it goes on.
+            hung = [ended_ns for began_ns, ended_ns in station.hung if began_ns == own.noted_ns]
+            written_ns = max([own.noted_ns, *hung])
+            is_before_crash = any(0 <= killed_ns - written_ns < S for killed_ns in station.killed_ns)
             if newer < ARCHIVED - 1 and own.judged_ns > world.lacks_files_ns and not is_before_crash:
                 yield f"press {press_id}, the newest but {newer}, is not in the archive: {error}"
             continue

@@ -93,14 +93,19 @@ def _audit_press(press: MadePress, said: set[str]) -> Iterator[str]:
 
 
 def audit_lifts(world: World, station: Station) -> Iterator[str]:
-    """A part may be lifted when its press is recorded, and not by the verdict of another."""
+    """A part may be lifted when its press is recorded, and not by the verdict of another. A process that was frozen
+    shows what its loop has said within the last second."""
     for one in world.relay.switched:
         if one.channel != LIFT:
             continue
         begun = [press for press in world.hand.presses if press.begin_ns <= one.told_ns][-1:]
         own = [seen for seen in station.seen if begun and begun[0].begin_ns <= seen.noted_ns <= one.told_ns]
-        if not begun or not (
-            own or "a relay that is plugged in may say `lift` before the station has it" in begun[0].why
+        why = begun[0].why if begun else set()
+        is_of_before = "process frozen" in why and one.told_ns - begun[0].begin_ns < UNHEARD_S * S
+        if not (
+            own
+            or is_of_before
+            or "a relay that is plugged in may say `lift` before the station has it" in why
         ):
             number = begun[0].number if begun else "none"
             yield f"lift was shown at {one.told_ns / S:.3f} s, and press {number} was not recorded yet"

@@ -14,9 +14,10 @@ if TYPE_CHECKING:
 
 
 def replace_gel(run: "Simulation", rng: random.Random) -> float:
-    """A person changes the gel, says so, and goes on when the new one was seen free for a while."""
+    """A person changes the gel, says so, and goes on when the new one was seen free for a while. The station hears it
+    after what it saw before."""
     hand = run.world.hand
-    if hand.press is not None:
+    if hand.press is not None or run.world.sensor.is_behind:
         return 0.1
     hand.wait(4)
     try:

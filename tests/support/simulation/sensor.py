@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from simulation.surroundings import SimulatedClock
 
 S = 10**9
+BEHIND_S = 0.3
+"""A reader that gets its turns has taken a frame by then."""
 SERIAL, OTHER_SERIAL = "SIM00001", "SIM00002"
 
 
@@ -86,6 +88,11 @@ class Sensor:
     def has_frame(self) -> bool:
         """A frame waits for its reader."""
         return bool(self._kept) and not self.is_holding
+
+    @property
+    def is_behind(self) -> bool:
+        """What waits is older than anything a person does now."""
+        return bool(self._kept) and self._clock.now_ns - self._kept[0][1] > BEHIND_S * S
 
     def note_given(self, payload: bytes) -> None:
         """Count the pictures that the station has read; the same one again is none."""
