@@ -149,8 +149,8 @@ def recover(
     """Correct the ledger of this database inside the caller's transaction; return whether something was corrected.
 
     known: the second record of this sensor. A database with a newer press than the record is right about its gel; one
-    with older presses only was removed, emptied, cut or replaced by an old copy. The higher count is used: a gel that
-    is replaced too early costs less than one that is worn out and trusted.
+    with older presses only, or with fewer of that gel, was removed, emptied, cut or replaced by an old copy. The higher
+    count is used: a gel that is replaced too early costs less than one that is worn out and trusted.
     """
     if known is None:
         return False
@@ -166,6 +166,15 @@ def recover(
                 f"presses {newest + 1} to {known.sequence} are missing, so it was removed, damaged or replaced by an "
                 f"old copy; gel {known.gel_id} of sensor {serial} goes on from {known.presses} presses. Look for the "
                 "lost file; the history, unsent results, proofs and what people said and did in it are lost"
+            )
+        )
+    elif newest == known.sequence and _read_count(connection, known, serial) < known.presses:
+        _restore_gel(connection, known, serial, time_ns)
+        sentences.append(
+            Sentence(
+                f"presses of master pieces or of a study are missing, so it was removed, damaged or replaced by an old "
+                f"copy; gel {known.gel_id} of sensor {serial} goes on from {known.presses} presses. Look for the lost "
+                "file; what people said and did in it is lost"
             )
         )
     # A press that was recorded just before the process died may be in the count, and among those that waited.
@@ -184,8 +193,13 @@ def recover(
 
 def _counted_since(connection: sqlite3.Connection, known: Count, serial: str) -> int:
     """Presses of that gel that the ledger has counted since the second record was written."""
-    query = "SELECT max(0, presses - ?) FROM gels WHERE serial = ? AND gel_id = ?"
-    row = connection.execute(query, (known.presses, serial, known.gel_id)).fetchone()
+    return max(0, _read_count(connection, known, serial) - known.presses)
+
+
+def _read_count(connection: sqlite3.Connection, known: Count, serial: str) -> int:
+    """Read the ledger's count of that gel; 0 for one that it does not know."""
+    query = "SELECT presses FROM gels WHERE serial = ? AND gel_id = ?"
+    row = connection.execute(query, (serial, known.gel_id)).fetchone()
     return int(row[0]) if row else 0
 
 

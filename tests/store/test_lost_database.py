@@ -13,10 +13,13 @@ from sql import execute
 from edge.core.errors import StoreError
 from edge.core.gel_life import LONGEST_ID, GelLabel
 from edge.core.ports import Message
+from edge.core.reference_press.charts import ReferencePress
+from edge.core.reference_press.outcome import Imprint
 from edge.store.integrity import check_database
 from edge.store.outbox import Outbox
 from edge.store.press_counts import COPY_BYTES, Count, PressCounts
 from edge.store.press_store import Store
+from edge.store.reference_presses import PieceKey, ReferenceTable
 
 SERIAL = "2BNN4ZE7"
 
@@ -57,6 +60,36 @@ def test_a_gel_goes_on_counting_and_the_loss_is_reported(path: Path, tmp_path: P
     first = 2 if loss == "an older copy" else 1
     assert f"presses {first} to 3 are missing" in finding
     assert "goes on from 3 presses" in finding
+    assert [one.text for one in check_database(path) if one.is_fault] == []
+
+
+def count_master_piece(store: Store, number: int) -> None:
+    """Record a press of a master piece, and its count."""
+    press = make_press(number)
+    scores = (press.verdict, press.score, press.threshold)
+    made = ReferencePress(press.press_id, press.time_ns, "g", "b1", "pass", *scores, Imprint())
+    table = ReferenceTable(PieceKey(SERIAL, "bolt", "crest", "M1"), made)
+    store.keep_count(store.record_press(press, lambda recorded: [], table).gel)
+
+
+@pytest.mark.parametrize("parts", [0, 1])
+def test_presses_of_master_pieces_alone_are_missed_too(path: Path, tmp_path: Path, parts: int) -> None:
+    """They have no number among those of parts, and wear the gel."""
+    record(path, *range(1, parts + 1))
+    if parts:
+        shutil.copy(path, tmp_path / "old.db")
+    with Store(path) as store:
+        store.gel(SERIAL, 0)
+        count_master_piece(store, 7)
+        count_master_piece(store, 8)
+    remove(path)
+    if parts:
+        shutil.copy(tmp_path / "old.db", path)
+
+    with Store(path) as store:
+        assert store.gel(SERIAL, 0).presses == parts + 2
+        (finding,) = store.findings()
+    assert f"goes on from {parts + 2} presses" in finding
     assert [one.text for one in check_database(path) if one.is_fault] == []
 
 
