@@ -49,6 +49,8 @@ CLEAR_SHARE: Final = 0.01
 LATENCIES_KEPT: Final = 1000
 # A time server that slews a clock moves it by at most 0.5 ms a second; more than this in 10 s is a step.
 STEP_NS: Final = 2 * 10**9
+# Steps that wait while the database refuses writes; the newest are kept.
+_MOST_STEPS: Final = 64
 # The alarm ends when there is this much more room than where it began, so that it does not come and go.
 CLEARED_AT: Final = 1.1
 # A frame older than this when it is processed cannot be judged any more.
@@ -246,6 +248,7 @@ class Report:
     ) -> None:
         self.summary = Summary()
         self.clock_guard = ClockGuard(clock)
+        self._steps: deque[Act] = deque(maxlen=_MOST_STEPS)
         self._store, self._publisher, self._status, self._acquisition = store, publisher, status, acquisition
         self._free_space, self._clock = free_space, clock
         self._overload = OverloadRule()
@@ -279,12 +282,13 @@ class Report:
         self._say_load()
         status.say("disk", self._free_space.check(), "warning")
         try:
-            self._note_clock_step()
             self._count_pieces()
             if session is not None:
                 session.see_gel(self._store.gel(session.gel.serial, self._clock.time_ns()))
             outbox, head = self._publisher.outbox_status(), str(self._store.ledger_head())
             findings = self._store.findings()
+            self.note_drops(outbox)  # also where nothing can be written
+            self._note_clock_step()
         except StoreError as error:
             self.note_store_fault(error)
             return
@@ -293,7 +297,6 @@ class Report:
         counters = self._publisher.counters()
         receivers = {name: _describe(sink) for name, sink in counters.items()}
         gel = session.gel if session else None
-        self.note_drops(outbox)
         payload = StatsPayload(
             time_ns=self._clock.time_ns(),
             uptime_s=(self._clock.monotonic_ns() - self._started_ns) / 1e9,
@@ -353,13 +356,15 @@ class Report:
         self.summary.pieces.update(ended)
 
     def _note_clock_step(self) -> None:
-        """Write it into the log and the table of acts. Errors: StoreError."""
+        """Write it into the log and the table of acts. Errors: StoreError; then it is an act with a later report."""
         seconds = self.clock_guard.step()
         if seconds is not None:
             log.warning("the clock of this machine was set by %+.0f s", seconds)
             now_ns, step = self._clock.time_ns(), {"seconds": round(seconds, 3)}
-            act = Act(now_ns, "the gateway", "clock_step", arguments=step, outcome="done")
-            self._store.begin_act(act, within_s=0)
+            self._steps.append(Act(now_ns, "the gateway", "clock_step", arguments=step, outcome="done"))
+        while self._steps:
+            self._store.begin_act(self._steps[0], within_s=0)
+            self._steps.popleft()
 
 
 def _describe(sink: SinkCounters) -> str:

@@ -30,6 +30,23 @@ def test_a_step_is_an_act_of_the_station(station: SteppedStation, monkeypatch: p
     assert act.arguments == {"seconds": 86400.0}
 
 
+def test_a_step_while_the_store_refuses_is_an_act_later(
+    station: SteppedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is found once, and what could not be recorded then is not forgotten."""
+    set_wall(station.clock, monkeypatch, 86400.0)
+    with station.refusing("acts"):
+        station.loop.publish_stats()
+        set_wall(station.clock, monkeypatch, 82800.0)
+        station.loop.publish_stats()
+    assert station.parts.store.acts() == []
+    station.loop.publish_stats()
+    assert [act.arguments for act in station.parts.store.acts()] == [
+        {"seconds": -3600.0},
+        {"seconds": 86400.0},
+    ]
+
+
 def test_a_clock_beyond_2262_loses_no_press(station: SteppedStation, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nanoseconds in 64 bits end there: the station goes on, while the clock is wrong and when it is right again."""
     today_ns = 1_795_000_000 * 10**9

@@ -101,6 +101,17 @@ def test_dropped_messages_are_acknowledged_until_more_are_dropped(config: Path) 
                 drop(station, 2)
 
 
+def test_a_drop_is_said_while_the_store_refuses(
+    station: SteppedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A clock that was set meanwhile cannot be recorded, and keeps back nothing that can be read."""
+    drop(station, 1)
+    monkeypatch.setattr(station.clock, "time_ns", lambda: station.clock.monotonic_ns() + 86_400 * 10**9)
+    with station.refusing("acts"):
+        station.loop.publish_stats()
+    assert "1 of kind heatmap (no room)" in (station.alarm("outbox_full") or "")
+
+
 def test_corrected_counts_are_an_alarm_until_a_person_acknowledges_it(config: Path) -> None:
     """Over a restart too, and before the first frame; then no report raises it again."""
     counts = PressCounts(load_config(config).store.path)
