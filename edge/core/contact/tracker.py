@@ -182,7 +182,9 @@ class ContactTracker:
         ]
         if any(isinstance(event, ReferenceCorrected) for event in events):
             views = [self._recent[frame.sequence].level for frame in self._track.window.frames]
-            self._refer_to(Reference(np.mean(views, axis=0, dtype=np.float32)))
+            corrected = Reference(np.mean(views, axis=0, dtype=np.float32))
+            self._refer_to(corrected)
+            self._light = measure_light(corrected.view)
         self.level = level
         # Looks that follow each other at once may all show an approach.
         is_apart = timestamp_ns - self._free_ns >= self.settings.idle_interval_s * 1e9

@@ -14,6 +14,7 @@ from edge.core.contact.events import (
     StartedTouched,
 )
 from edge.core.contact.reference import Reference, View
+from edge.core.contact.sight import measure_light
 from edge.core.contact.tracker import ContactTracker
 
 FPS = 18.75
@@ -69,6 +70,7 @@ def test_a_pressed_first_start_recovers_by_itself(part: str, gel: str) -> None:
     assert [len(station.of(kind)) for kind in (PressBegan, PressSettled, PressEnded)] == [3, 3, 3]
     assert station.tracker.reference is not None
     assert np.abs(station.tracker.reference.view - free_view(part, gel)).mean() < 1.5
+    assert station.tracker.light == pytest.approx(measure_light(free_view(part, gel)), rel=0.02)
 
 
 def test_presses_that_decide_little_decide_together() -> None:
