@@ -4,6 +4,7 @@ import json
 from collections import Counter
 from collections.abc import Iterator
 
+from edge.features.snapshots import Snapshots
 from simulation.chosen import is_small
 from simulation.lives import Station
 from simulation.options import MESSAGES
@@ -18,6 +19,9 @@ ARCHIVED = 8
 
 MADE_FROM = ("frame", "reference", "score_map", "machine", "masked")
 """The objects that a record of the archive names."""
+
+KEPT_S = 20.0
+"""The ten seconds before a request and the ten after it (docs/operations.md), of frames that are somewhat irregular."""
 
 MOST_HELD = 8
 """Frames and presses in memory when none waits: the newest ones."""
@@ -122,7 +126,13 @@ def audit_kept(world: World, station: Station) -> Iterator[str]:
             yield f"press {path.stem} is in the archive, and its {', '.join(lacking)} is not"
 
 
-def audit_memory(world: World) -> Iterator[str]:
-    """What has been inspected is let go."""
+def audit_memory(world: World, station: Station) -> Iterator[str]:
+    """What has been inspected is let go; snapshots keep the frames of twenty seconds."""
     held = count_held() - world.held_before
-    yield from (f"{number} of {name} are in memory" for name, number in held.items() if number > MOST_HELD)
+    frames = MOST_HELD + (round(KEPT_S * station.fps) if station.loop.find(Snapshots) else 0)
+    most = {"CameraFrame": frames}
+    yield from (
+        f"{number} of {name} are in memory"
+        for name, number in held.items()
+        if number > most.get(name, MOST_HELD)
+    )

@@ -14,14 +14,17 @@ class Fault:
     seed: int
 
 
-SMALL_MB = 0.03
-"""Less than a person may set: some twenty results are more."""
+SMALL_MB, TINY_MB = 0.03, 0.01
+"""Less than a person may set: some twenty results are more, or some seven."""
 
 
 def is_small(outbox_mb: float) -> bool:
     """Say whether a run fills such an outbox."""
     return outbox_mb < 1
 
+
+SNAPSHOT, REFERENCE = "snapshot", "reference_press"
+"""Features, by the requests that they serve."""
 
 MEETINGS = (
     ("silence",),
@@ -30,6 +33,7 @@ MEETINGS = (
     ("kill",),
     ("fill disk", "kill", "hang up"),
     ("fill disk", "lose power"),
+    ("fill disk", "replace gel"),
     ("select part", "replace gel"),
     ("hang up", "kill"),
     ("hang up", "stop"),
@@ -93,6 +97,10 @@ class Chosen:
     """Faults that come often while it is their turn."""
     forgets: bool = False
     """Each broker restarts without its memory when all faults have ended."""
+    features: tuple[str, ...] = ()
+    """Those that are configured beside what each station has."""
+    stamps_late: bool = False
+    """The driver stamps a frame when it is read, as both that are built in do, and not when it was made."""
 
     @property
     def faults(self) -> set[str]:
@@ -102,10 +110,11 @@ class Chosen:
     @classmethod
     def of(cls, seed: int, names: Sequence[str]) -> "Chosen":
         """Draw. Most kinds of fault are left out of a run, so that others meet alone; seeds that follow each other have
-        every meeting. A PLC is always disturbed, and met by a second one."""
+        every kind and every meeting. A PLC is always disturbed, and met by a second one."""
         rng = random.Random(f"{seed} chosen")
         drawn = [name for name in names if name not in ("begin piece", "hang")]  # which come below
         rates = {name: rng.choice((1.0, 4.0)) for name in drawn if rng.random() < 0.1}
+        rates |= {drawn[turn % len(drawn)]: 4.0 for turn in (seed, 5 * seed + 7)}
         trigger, plc, piece = WORK[seed % len(WORK)]
         chosen = cls(
             rng.choice((1, 2)),
@@ -115,7 +124,7 @@ class Chosen:
             rng.choice((18.75, 18.75, 9.0, 7.0)),
             rng.choice(("5", "5", "5", "3.1.1", "silent at 5")),
             trigger,
-            rng.choice((*[512] * 4, SMALL_MB)),
+            rng.choice((*[512] * 8, SMALL_MB, TINY_MB)),
             rng.random() < 0.25,
             rng.random() < 0.25,
             rng.random() < 0.3,
@@ -134,7 +143,10 @@ class Chosen:
             rates |= dict.fromkeys(("hang up", "stop"), 4.0)
         if rng.random() < 0.2:
             rates["hang"] = 4.0
-        if seed % 25 == 24:  # else they meet too seldom for a night
-            rates |= dict.fromkeys(("damage", "fill disk", "replace gel"), 4.0)
+        features = tuple(name for name in (SNAPSHOT, REFERENCE) if rng.random() < 0.4)
+        if plc or piece or trigger == "command":  # a master piece is pressed by a person who has asked for it
+            features = tuple(name for name in features if name != REFERENCE)
+        chosen = replace(chosen, stamps_late=rng.random() < 0.5, features=features)
+        rates |= {"say": 4.0, **dict.fromkeys(features, 4.0)}
         disturbed = {"second plc": 1.0, **rates, "plc": 4.0}
         return replace(chosen, rates=disturbed) if chosen.plc and "plc" in names else chosen

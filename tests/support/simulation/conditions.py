@@ -29,6 +29,17 @@ SOMETIMES = (
     *(f"a broker {mood}" for mood in sorted(set(MOODS))),
     *(f"the disk failed to {what}" for what in ("read", "write", "sync")),
     *(f"a {kind} request" for kind in ("signed", "forged", "unsigned", "repeated")),
+    "a person called a part good",
+    "a person called a part damaged",
+    "a person took a sound part for damaged",
+    "a damaged part was said to have passed",
+    "a snapshot was asked for",
+    "a snapshot was written",
+    "a shadow was refused",
+    "a master piece was asked for",
+    "a master piece was pressed",
+    "the free gel was learnt again",
+    "the free gel was learnt again while something pressed",
     "the alarm pulse was acknowledged",
     "the alarm counts was acknowledged",
     "the wall clock drifts",
@@ -101,6 +112,7 @@ SOMETIMES = (
 
 def reached_at_end(world: World, station: Station) -> Iterator[str]:
     """What the end of a run shows."""
+    yield from station.reached
     for broker in world.brokers.values():
         yield from _of_broker(broker)
     words = {seen.word for seen in station.seen}
@@ -122,6 +134,11 @@ def reached_at_end(world: World, station: Station) -> Iterator[str]:
     found["a press was not judged, for nobody asked"] = any(
         not press.is_asked for press in world.hand.presses
     )
+    asked = dict(
+        station.disk.read("SELECT verb, outcome FROM acts WHERE verb = 'snapshot' ORDER BY outcome = 'done'")
+    )
+    found["a master piece was pressed"] = bool(station.disk.read("SELECT 1 FROM reference_presses"))
+    found["a snapshot was written"] = asked.get("snapshot") == "done"
     robots = [
         press for press in world.hand.presses if world.hand.may_lift and press.way != "brief" and press.end_ns
     ]

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from edge.core.errors import StoreError
+from simulation.asked import ASKED
 from simulation.chosen import is_small
 from simulation.outputs import LAMP
 from simulation.people import PEOPLE
@@ -408,6 +409,7 @@ FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "plc": disturb_plc,
     "second plc": join_plc,
     **PEOPLE,
+    **ASKED,
 }
 
 
@@ -497,7 +499,7 @@ MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
 WAIT_FIRST = {"step clock", "silence", "blind", "hold back", "unplug", "begin piece"}
 """Faults whose first one waits; of others a draw says whether it does."""
 
-NEEDS_ANSWER = {"stop", "lose database", "freeze", "hang", *PEOPLE}
+NEEDS_ANSWER = {"stop", "lose database", "freeze", "hang", *PEOPLE, *ASKED}
 """Faults that need an answer of the process."""
 NEEDS_DISK = {"fill disk", "lose power", "slow disk", "bad disk"}
 """Faults for which the writes of SQLite are listened to."""

@@ -42,6 +42,8 @@ class MadePress:
     """It was made on a full disk, and counts on the gel although the process was killed."""
     is_asked: bool = True
     """The station judges by itself, or a person asked for the verdict."""
+    master_ns: int = 0
+    """It is of the master piece, which was asked for then."""
     is_others: bool = True
     """Another sensor was plugged in all the time."""
     why: set[str] = field(default_factory=set)
@@ -91,6 +93,8 @@ class Hand:
         self.lifted_at_word = 0
         self.has_dented = False
         """The next part is dented."""
+        self.master_ns = 0
+        """The next press is of the master piece, which was asked for then."""
         self._was_off = False
         self._phase = FREE
         self._phases: deque[Phase] = deque(repeat(FREE, round(2.2 / period_s)))
@@ -162,7 +166,10 @@ class Hand:
         what, self.has_dented = "dented" if self.has_dented else what, False
         way = self._rng.choices(WAYS, (70, 8, 8, 4, 6, 4))[0]
         self._was_off = False
-        self.presses.append(MadePress(len(self.presses), now_ns, what, way))
+        if self.master_ns:
+            what, way = "sound", "steady"
+        self.presses.append(MadePress(len(self.presses), now_ns, what, way, master_ns=self.master_ns))
+        self.master_ns = 0
         self._phases.extend((depth, what) for depth in self._depths(way))
         self._phases.extend(repeat(FREE, self._frames(0.35, 0.75, 4)))
 

@@ -62,7 +62,18 @@ class Seen:
     came_ns: int
     """Of the judged frame, or of the one that has decided the press without one."""
     shown: str
-    """What outputs may show of it: its word, but of a piece a pass only when all of it has passed; or nothing."""
+    """What outputs may show of it: its word, but of a piece a pass only when all of it has passed; nothing of a master
+    piece."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A snapshot that a person has asked for: its folder, when, of how many seconds, and in which life."""
+
+    folder: str
+    at_ns: int
+    seconds: float
+    life: int
 
 
 class Station:
@@ -79,6 +90,13 @@ class Station:
         self.killed_ns: list[int] = []
         self.fed_ns: list[int] = []
         """The times of the frames that this life has looked at."""
+        self.snapshots: list[Asked] = []
+        self.complete = set[str]()
+        """The names of those that were there, and complete, as last looked at."""
+        self.reached = set[str]()
+        """Conditions that auditors have seen."""
+        self.configured: dict[str, str] = {}
+        """Each part, and the bundle that inspects it."""
         self.answers: list[dict[str, Any]] = []
         """Of requests that people have sent, in order."""
         self.was_waiting = self.has_selected_late = False
@@ -106,6 +124,8 @@ class Station:
         self.asking: list[threading.Thread] = []
         self.lost_rows: list[Row] = []
         """Of databases that were removed."""
+        self.lost_masters: list[str] = []
+        """And the gels of presses of the master piece."""
         self.is_loss_open = False
         """The database was removed, and nobody has acknowledged it."""
         self.dropped: Mapping[str, int] = {}
@@ -149,6 +169,7 @@ class Station:
             self._trunks
         )  # the same file in each life: opening it again would find nothing
         checked.open_bundles(self.config)
+        self.configured = {part.part: one.bundle.digest for part, one in checked.bundles.bundles.items()}
         opened = open_station(self.config, clock, self._note, checked, stages={"witness": Witness(self)})
         self.loop = self._closing.enter_context(opened)
         self.loop.parts.pictures.recall()
@@ -239,6 +260,7 @@ class Station:
         path = self.disk.folder / "gelgate.db"
         self.world.pieces.forget(self.world.clock.now_ns)
         self.lost_rows += self.rows()[len(self.lost_rows) :]
+        self.lost_masters += self.master_gels()[len(self.lost_masters) :]
         self.filled.clear()
         self.has_lost_pieces = True
         self.is_loss_open = bool(self.lost_rows)
@@ -253,6 +275,12 @@ class Station:
         is_there = self.disk.read("SELECT 1 FROM sqlite_master WHERE name = 'presses'")
         query = "SELECT press_id, verdict, part, gel_id FROM presses WHERE serial = ? ORDER BY number"
         return [*self.lost_rows, *(self.disk.read(query, SERIAL) if is_there else ())]
+
+    def master_gels(self) -> list[str]:
+        """The gel of each press of the master piece that there ever was."""
+        is_there = self.disk.read("SELECT 1 FROM sqlite_master WHERE name = 'reference_presses'")
+        query = "SELECT gel_id FROM reference_presses ORDER BY number"
+        return [*self.lost_masters, *(gel for (gel,) in (self.disk.read(query) if is_there else ()))]
 
     def bury(self) -> None:
         """The process is dead: its folder is as it was at that point."""
@@ -366,6 +394,8 @@ class Station:
     def _show(self, report: PressReport) -> str:
         """Say what outputs may show of a press, after docs/operations.md."""
         word, piece, place = report.press.word, report.result.piece_id, report.result.place
+        if report.press.label is not None:
+            return ""
         if piece is None:
             return word
         filled = self.filled.setdefault(piece, {})
@@ -408,6 +438,7 @@ STAYS = {
     "gel_mark",
     "disk",
     "reference",
+    "escape",
 }
 """Alarms that a person ends, or the next press, or that say what is not over."""
 

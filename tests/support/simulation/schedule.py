@@ -16,11 +16,12 @@ from traceback import extract_tb, format_exception
 
 from edge.config import Config, load_config
 from edge.core.errors import StoreError
+from simulation.asked import TABLE as MASTER_TABLE
 from simulation.auditors import CALM_S, audit_end, audit_now, audit_replay
 from simulation.auditors_outbox import ARCHIVED
 from simulation.auditors_pieces import audit_pieces
 from simulation.auditors_retained import audit_retained
-from simulation.chosen import MET, TURN_S, Chosen, Fault, is_small
+from simulation.chosen import MET, REFERENCE, TURN_S, Chosen, Fault, is_small
 from simulation.conditions import reached_at_end
 from simulation.connections import AT_ONCE_S, connecting
 from simulation.faults import FAULTS, MOMENTS, NEEDS_ANSWER, NEEDS_DISK, WAIT_FIRST, is_held_up
@@ -48,7 +49,11 @@ shadows = {shadows}
 path = "{folder}/gelgate.db"
 [commands]
 unsigned = ["trigger", "acknowledge_alarm"]
-signed = ["select_part", "replace_gel", "reload", "relearn", "self_test", "begin_piece"]
+signed = [
+  "select_part", "replace_gel", "reload", "relearn", "self_test", "begin_piece", "confirm_press", "adopt_shadow",
+  "restore_bundle",
+  {more}
+]
 secret_file = "{secret}"
 {archive}
 """
@@ -390,9 +395,11 @@ class Simulation:
             secret=self._secret,
             trigger=self.chosen.trigger,
             shadows=shadows,
+            more=", ".join(f'"{name}"' for name in self.chosen.features),
         )
         text += TABLES + "".join(SINK.format(name=name, at_once_s=AT_ONCE_S) for name in self.order)
         text += PIECE.format(order=self.chosen.piece) if self.world.has_pieces else ""
+        text += MASTER_TABLE if REFERENCE in self.chosen.features else ""
         text += HANDSHAKE if self.world.has_plc else ""
         text += FILE.format(folder=self._disk / MESSAGES) if self.chosen.has_file else ""
         self._config.write_text(text)

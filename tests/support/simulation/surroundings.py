@@ -26,13 +26,16 @@ from simulation.pieces import PieceWorker
 from simulation.plc import Plc, Server
 from simulation.sensor import SERIAL, S, Sensor
 
+WALL_NS = 1_780_000_000 * S
+"""What the wall clock says at first."""
+
 
 class SimulatedClock:
     """The station's time. The wall clock is another one: a person, or a time server, may step it, and it drifts."""
 
     def __init__(self) -> None:
         self.now_ns = S
-        self.wall_ns = 1_780_000_000 * S
+        self.wall_ns = WALL_NS
         self.drift = 0.0
         """Seconds that the wall clock gains in a second."""
 
@@ -101,7 +104,9 @@ class World:
         self.held_before = count_held()
         """Of other tests in this process."""
         self.clock = SimulatedClock()
-        self.sensor = Sensor.now = Sensor(random.Random(f"{seed} sensor"), self.clock, chosen.fps)
+        self.sensor = Sensor.now = Sensor(
+            random.Random(f"{seed} sensor"), self.clock, chosen.fps, stamps_late=chosen.stamps_late
+        )
         self.hand = self.sensor.hand
         names = [f"broker{number}" for number in range(chosen.brokers)]
         self.brokers = {
@@ -135,7 +140,7 @@ class World:
         self.lacks_files_ns = 0
         """The archive may lack presses of until then: the power was lost, or the disk was full."""
         self.new_gel_ns = -S
-        """When the gel was replaced last, as the station has confirmed."""
+        """When the gel was replaced last, or was to be learnt again, as the station has confirmed."""
         self.said: list[str] = []
         """How a stop of the service ended, where it did not end well."""
         self.pedal = Pedal.now = Pedal(self.clock)

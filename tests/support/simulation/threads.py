@@ -7,7 +7,11 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from edge.core.errors import GelgateError
+from edge.features.snapshots import Snapshots
+from simulation.asked import WITHIN_S
+from simulation.chosen import SNAPSHOT
 from simulation.connections import Turns
+from simulation.hand import MadePress
 from simulation.sensor import S
 
 if TYPE_CHECKING:
@@ -52,6 +56,8 @@ class Threads:
                 threads.append(Actor(thread, turns.act))
         if run.chosen.has_file:
             threads.append(Actor("file", partial(self._publish, "file")))
+        if SNAPSHOT in run.chosen.features:
+            threads.append(Actor("snapshots", self._write_snapshots))
         connections.on_news = self._wake_waiting
         self.own = threads
         plcs = [Actor("plc", plc.act) for plc in run.world.plcs]
@@ -84,6 +90,8 @@ class Threads:
         if press is not before and press is not None:
             self._run.note(f"press {press.number} begins, {press.what}, {press.way}")
             press.is_asked = self._run.chosen.trigger == "automatic"
+            if press.master_ns:
+                self._doubt_master(press)
         if self._run.station.is_disk_disturbed or self._run.station.loop.is_halted:
             for made in hand.presses[-2:]:
                 made.may_count = True
@@ -91,6 +99,13 @@ class Threads:
             self._run.station.loop.watch()  # each second, by a thread of its own
         self._wake(self._reader)
         return (sensor.next_ns - self._run.world.clock.now_ns) / S
+
+    def _doubt_master(self, press: MadePress) -> None:
+        """The station may not wait for it any more: what is mounted has changed, or it began again."""
+        world, asked_ns = self._run.world, press.master_ns - S
+        changes_ns = (world.parts.changed_ns, world.gels.changed_ns, self._run.station.began_ns)
+        if max(changes_ns) > asked_ns or press.begin_ns - asked_ns > WITHIN_S * S:
+            press.why.add("the master piece was asked for before a change")
 
     def _read(self) -> float:
         acquisition = self._run.station.loop.parts.acquisition
@@ -152,6 +167,12 @@ class Threads:
 
     def _open_bundles(self) -> float:
         self._run.station.loop.parts.selection.worker.step()
+        return 0.2 + self._lag(0.2)
+
+    def _write_snapshots(self) -> float:
+        stage = self._run.station.loop.find(Snapshots)
+        assert stage is not None
+        stage.worker.step()
         return 0.2 + self._lag(0.2)
 
     def _switch(self) -> float:
