@@ -95,7 +95,7 @@ class ContactFollower:
         if is_free:
             self._is_overloaded = False
             # What presses before the press is over continues it, and may be another part.
-            self._is_doubtful &= self.press_id is not None
+            self._is_doubtful = self.press_id is not None
         elif nominal is not None and strength > OVERLOAD_TIMES * nominal.highest:
             self._is_overloaded = True
         is_known = nominal is not None and not is_free

@@ -76,6 +76,7 @@ class SensingWatch(PressStage):
     def look(self, look: Look) -> None:
         sight, timestamp_ns = look.sight, look.timestamp_ns
         self._contact.leave_out(look.interruption_s, timestamp_ns)
+        self._contact.see(look.phase)
         if is_merged := look.interruption_s > 0 and self._is_pressed:
             self._is_pressed = False
             log.warning("nothing was seen for %.1f s; %s", look.interruption_s, _MERGED)

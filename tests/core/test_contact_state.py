@@ -91,6 +91,8 @@ WHOLE = ["unknown", "free", "touching", "pressing", "deep_enough", "at_rest", "j
             {},
             [*WHOLE[:8], "unknown", "free", "unknown", "free"],
         ),
+        ([*FREE, *HELD, 0.0, *HELD, *LIFT, *FREE[:9]], {}, [*WHOLE, "unknown", "free"]),
+        ([*FREE, *HELD, 0.0, *HELD, *LIFT, *FREE[:9], *HELD], {}, [*WHOLE, "unknown", *WHOLE[1:8]]),
     ],
     ids=[
         "a press",
@@ -103,6 +105,8 @@ WHOLE = ["unknown", "free", "touching", "pressing", "deep_enough", "at_rest", "j
         "an interruption before it",
         "pressed at the start",
         "an interruption after the verdict, and another part before its press was over",
+        "free for a frame: perhaps another part",
+        "free for a frame, and a press after it",
     ],
 )
 def test_states(depths: list[float | None], given: dict[str, object], said: list[str]) -> None:

@@ -112,3 +112,20 @@ def test_a_free_gel_that_is_never_seen_at_rest_is_an_alarm(
     assert any("was not seen at rest for more than 15 s" in text for text in texts) == is_said
     assert (said[-1][0] is None) == is_over
     assert not any(is_fault for _, is_fault in said)
+
+
+@pytest.mark.parametrize(("free_frames", "is_said"), [(0, False), (1, True), (3, False)])
+def test_a_lift_that_is_too_short_to_end_a_press_is_an_alarm(
+    free_frames: int, is_said: bool, tmp_path: Path
+) -> None:
+    """Of two parts that follow each other so, the second is neither judged nor counted."""
+    detector, said = PressDetector(PROFILE), list[object]()
+    with Store(tmp_path / "gelgate.db") as store:
+        watch = SensingWatch(Mock(contact=lambda *one: said.append(one[0])), store, ManualClock())
+        for frame in frames([*FREE, *PRESSED, *[0.0] * free_frames, *PRESSED, *FREE]):
+            look = detector.feed(frame)
+            for event in look.events:
+                watch.see(event)
+            watch.look(look)
+    assert any(said) == is_said
+    assert said[-1] is None

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from edge.core.contact.mask import BLACK_LEVEL
 from edge.core.contact.reference import View
+from edge.core.contact.signals import Phase
 from edge.core.sentence import Sentence
 
 __all__ = ["BLIND_AFTER_S", "Light", "LongContact", "Sight", "measure_light"]
@@ -35,6 +36,10 @@ _OFTEN_S: Final = 4.0
 _PAID_BACK: Final = 0.25
 # The noise of a sensor makes every picture another one. A driver that hangs may go round in its buffers.
 _BUFFERS: Final = 8
+_AGAIN: Final = Sentence(
+    "the gel was free for a moment, too short to end the press, and is pressed again: of two parts one is neither "
+    "judged nor counted. Lift for 0.2 s between parts"
+)
 
 
 @final
@@ -134,10 +139,19 @@ class LongContact:
     def __init__(self) -> None:
         self._lengths_s: deque[float] = deque(maxlen=_CONTACTS_KEPT)
         self._began_ns: int | None = None
+        self._is_lifted = self._is_again = False
 
     def begin(self, timestamp_ns: int) -> None:
         """A press began."""
         self._began_ns = timestamp_ns
+        self._is_lifted = self._is_again = False
+
+    def see(self, phase: Phase) -> None:
+        """Notice that the gel is pressed again after it was free, while the press is not over."""
+        if self._began_ns is not None and phase == "free":
+            self._is_lifted = True
+        elif self._is_lifted and phase != "unseen":
+            self._is_again = True
 
     def leave_out(self, seconds: float, until_ns: int) -> None:
         """Nothing was seen for so long until then: that time is no part of the contact."""
@@ -149,6 +163,7 @@ class LongContact:
         if self._began_ns is not None:
             self._lengths_s.append((timestamp_ns - self._began_ns) / 1e9)
         self._began_ns = None
+        self._is_lifted = self._is_again = False
 
     @property
     def limit_s(self) -> float:
@@ -156,11 +171,11 @@ class LongContact:
         return max(_TIMES * median(self._lengths_s), _LEAST_S) if self._lengths_s else _FIRST_S
 
     def look(self, timestamp_ns: int) -> tuple[Sentence | None, bool]:
-        """Return what is to be said of the contact now, None while it is of a usual length; and whether it is a
-        fault."""
+        """Return what is to be said of the contact now, None while it is of a usual length and of one part; and
+        whether it is a fault."""
         lasted_s = 0.0 if self._began_ns is None else (timestamp_ns - self._began_ns) / 1e9
         if lasted_s < self.limit_s:
-            return None, False
+            return _AGAIN if self._is_again else None, False
         usual = Sentence(f", usually {median(self._lengths_s):.1f} s") if self._lengths_s else ""
         # A text that stays the same is published once.
         text = Sentence(

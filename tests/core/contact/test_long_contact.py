@@ -47,3 +47,23 @@ def test_a_sensor_that_shows_little_does_not_hide_it() -> None:
     for second in range(1, 16):
         contact.leave_out(1.0, second * S)
     assert contact.look(16 * S)[0] is not None
+
+
+def test_a_gel_that_is_pressed_again_before_the_press_is_over_is_said() -> None:
+    """What lay there and what lies there now are one press, and perhaps two parts."""
+    contact = LongContact()
+    contact.see("free")
+    contact.begin(0)
+    for phase in ("pressed", "decided", "free", "unseen"):
+        contact.see(phase)
+        assert contact.look(S)[0] is None
+    contact.see("decided")
+    sentence, is_fault = contact.look(S)
+    assert "neither judged nor counted" in str(sentence)
+    assert not is_fault
+    assert contact.look(31 * S)[1]
+    contact.end(2 * S)
+    assert contact.look(2 * S)[0] is None
+    contact.begin(3 * S)
+    contact.see("pressed")
+    assert contact.look(4 * S)[0] is None

@@ -319,7 +319,7 @@ BUGS = (
     Bug(
         "one view of the free gel ends a doubt",
         "edge/core/contact_state.py",
-        "self._is_doubtful &= self.press_id is not None",
+        "self._is_doubtful = self.press_id is not None",
         "self._is_doubtful = False",
         "the loop hung since its press was seen|and press .* was not recorded yet",
     ),
