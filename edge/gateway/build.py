@@ -30,7 +30,7 @@ from edge.gateway.command_table import (
 from edge.gateway.commands import Commands, policy_of
 from edge.gateway.features import load_features, read_options
 from edge.gateway.loop_calls import LoopCalls
-from edge.gateway.opening import BundleOpener, device_opener, first_part
+from edge.gateway.opening import BundleOpener, device_opener, explain_first, first_part
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.pictures import Pictures, PressDrawing
 from edge.gateway.preflight import Preflight
@@ -90,7 +90,10 @@ def _build(
     retained_state.announce(asyncapi_message(describe_station(config)))
     lock, store = _open_store(config, clock, closing)
     opener, bundles = _open_bundles(config, clock, store, checked)
-    part = first_part(config.inspection, bundles, store.read("reading the selected part", read_selected))
+    selected = store.read("reading the selected part", read_selected)
+    part = first_part(config.inspection, bundles, selected)
+    if why := explain_first(config.inspection, bundles, selected):
+        log.warning("%s is inspected: %s", part, why)
     handlers = station_handlers(calls, station_commands(config))
     commands = Commands(handlers, policy_of(config), store, clock, config.commands.requests_per_minute)
     by_name: dict[str, PressStage] = {}

@@ -30,6 +30,7 @@ __all__ = [
     "bundle_tables",
     "check_mode",
     "device_opener",
+    "explain_first",
     "first_part",
     "played_recording",
     "try_once",
@@ -203,6 +204,20 @@ def first_part(table: InspectionTable, bundles: BundleSet, selected: PartPositio
         return bundles.find_by_name(table.part)
     except ValueError as error:
         raise ConfigError(f"inspection.part: {error}") from error
+
+
+def explain_first(table: InspectionTable, bundles: BundleSet, selected: PartPosition | None) -> str:
+    """Say why `first_part` is not what was selected last, or not that of the configuration; empty where it is both."""
+    if selected is None:
+        return ""
+    if selected not in bundles:
+        return f"{selected}, selected last, has no bundle here any more"
+    try:
+        named = first_part(table, bundles, None)
+    except ConfigError as error:
+        return f"selected last; {error}"
+    is_named = table.part is None or named == selected
+    return "" if is_named else f"selected last; inspection.part, {named}, is a new station's"
 
 
 def _bundles_in(folder: Path) -> Iterator[Path]:

@@ -37,7 +37,7 @@ from edge.gateway.bundle_set import BundleSet, OpenBundle
 from edge.gateway.command_table import station_commands
 from edge.gateway.commands import policy_of
 from edge.gateway.features import Features, load_features
-from edge.gateway.opening import BundleOpener, check_mode, device_opener, first_part
+from edge.gateway.opening import BundleOpener, check_mode, device_opener, explain_first, first_part
 from edge.model.manifest_facts import licence_sentence
 from edge.store import bundles_in_use, gel_ledger
 from edge.store.database import SCHEMA_VERSION, open_read_only, quick_check, schema_version
@@ -200,14 +200,8 @@ def _describe_bundles(one: OpenBundle) -> str:
 
 def _describe_part(table: InspectionTable, bundles: BundleSet, selected: PartPosition | None) -> str:
     """Say which part comes first, and what of `inspection.part` does not hold then. Errors: ConfigError."""
-    part = first_part(table, bundles, selected)
-    try:
-        named = first_part(table, bundles, None)
-    except ConfigError as error:
-        return f"{part}, selected last; {error}"
-    return (
-        str(part) if part == named else f"{part}, selected last; inspection.part, {named}, is a new station's"
-    )
+    part, why = first_part(table, bundles, selected), explain_first(table, bundles, selected)
+    return f"{part}, {why}" if why else str(part)
 
 
 def _check_places(table: PieceTable, bundles: BundleSet) -> str:

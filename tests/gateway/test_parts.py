@@ -128,6 +128,37 @@ def test_a_new_station_starts_with_the_configured_part(tmp_path: Path, recording
         assert station.parts.selection.part == PZ1
 
 
+@pytest.mark.parametrize(
+    ("bundles", "said"),
+    [
+        ('bundle_folder = "{0}"', []),
+        ('bundle_folder = "{0}"\npart = "PZ1"', []),
+        (
+            'bundle_folder = "{0}"\npart = "PZ0"',
+            ["PZ1/pos1 is inspected: selected last; inspection.part, PZ0/pos1, is a new station's"],
+        ),
+        (
+            'bundle = "{0}/a"',
+            ["PZ0/pos1 is inspected: PZ1/pos1, selected last, has no bundle here any more"],
+        ),
+    ],
+)
+def test_a_start_says_where_the_configuration_or_the_selection_does_not_hold(
+    bundles: str,
+    said: list[str],
+    tmp_path: Path,
+    recording: Path,
+    folder: Path,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """PZ1 was selected last."""
+    config = station_config(tmp_path / "station", recording, bundles.format(folder))
+    with Store(load_config(config).store.path) as store:
+        store.use_bundle(PZ1, None, "digest", 0)
+    with SteppedStation(config):
+        assert [text for text in caplog.messages if "is inspected: " in text] == said
+
+
 def test_an_unknown_name_is_refused_and_nothing_changes(station: SteppedStation) -> None:
     words = r"no part of this station is named 'PZ2'; known: PZ0/pos1, PZ1/pos1"
     with pytest.raises(ValueError, match=words):
