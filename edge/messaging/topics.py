@@ -79,9 +79,7 @@ TOPICS: Final[tuple[Topic, ...]] = (
         "the newest `heatmap` of a part, on a fixed topic for dashboards; only with `last_heatmap`, otherwise empty",
         may_be_empty=True,
     ),
-    Topic(
-        "last", 1, True, ResultPayload, "the same as `last/press`, for subscribers of version 0.2 and before"
-    ),
+    Topic("last", 1, True, ResultPayload, "the same as `last/press`, for subscribers of version 0.1"),
     Topic(
         "reference",
         1,
