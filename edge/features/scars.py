@@ -84,7 +84,8 @@ class ScarWatch(PressStage):
     def look(self, look: Look) -> None:
         if look.level is not None:
             # Just after an interruption the table's state is that of before: a part may lie there by now.
-            self._free.see(look.state, None if look.phase == "unseen" else look.level)
+            view = None if look.phase == "unseen" else look.level
+            self._free.see(look.state, view, look.timestamp_ns, is_faint=look.phase == "touching")
 
     def expect(self, frame: CameraFrame, examined: Press) -> None:
         """Look for the marks of the free gel ahead, where the press will need a cause."""

@@ -1,16 +1,16 @@
 """How well scars of the gel and damage of the part are told apart, on simulated worn gels.
 
-`python tests/bench/scar_causes.py [GELS]` prints the table of docs/gel.md: the cause that each alarm was given, by what
-raised it, with exact binomial limits. Every press is judged as a station judges it; what raises an alarm is known by
-making the press again, without the scars or without the damage. Gels with scratches, dents, hairs and worn coat; six
-ways to place parts, with a bundle each. A gel of each placing takes two minutes of one core.
+`python tests/bench/scar_causes.py [GELS] [--brief]` prints the table of docs/gel.md: the cause that each alarm was
+given, by what raised it, with exact binomial limits. Every press is judged as a station judges it; what raises an alarm
+is known by making the press again, without the scars or without the damage. Gels with scratches, dents, hairs and worn
+coat; six ways to place parts, with a bundle each. A gel of each placing takes two minutes of one core.
 """
 
 import argparse
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -48,10 +48,20 @@ Shares = tuple[tuple[Scar, float], ...]
 
 SEED: Final = 6_000_000
 """Of the first placing; development had 1,000,000."""
-NOMINAL, PRESSES, FREE, FREE_FRAMES = 24, 24, 6, 6
-"""Presses that a bundle learns, and of each gel; pictures of the new gel; frames of the free gel before a press."""
-FREE_S: Final = 3.0
-"""Seconds of free gel before a press: what the press before has left behind is then at its lowest."""
+NOMINAL, PRESSES, FREE = 24, 24, 6
+"""Presses that a bundle learns, and of each gel; pictures of the new gel."""
+
+
+class Lift(NamedTuple):
+    """What is seen of the free gel between two presses."""
+
+    frames: int
+    since_s: float
+    """Since the release: what the press before has left behind fades meanwhile."""
+
+
+LONG, BRIEF = Lift(6, 3.0), Lift(1, 0.15)
+"""A lift of some seconds; the one frame that a lift of 0.3 s at ten frames a second gives."""
 SCARRED_AT: Final = (4, 10, 16)
 """Presses before which a scar appears; the gel has its record of quiet presses then."""
 DAMAGED_SHARE, SERIES = 0.35, 4
@@ -110,8 +120,9 @@ anywhere."""
 class Line:
     """One placing on one gel. seed: of pieces and marks."""
 
-    def __init__(self, placing: Placing, seed: int) -> None:
-        self.placing, self.seed, self.streams, self.shape = placing, seed, Streams(seed), placing.shape()
+    def __init__(self, placing: Placing, seed: int, lift: Lift = LONG) -> None:
+        self.lift, self.placing, self.seed = lift, placing, seed
+        self.streams, self.shape = Streams(seed), placing.shape()
         effects = (*DEFAULT_EFFECTS, "residual_imprint")
         self._renderer = Renderer(LR, effects, jitter=placing.jitter, streams=self.streams)
 
@@ -130,11 +141,11 @@ class Line:
     def free_gel(self, age: int, scars: Shares = (), before: F32 | None = None) -> View:
         """Show the free gel as the station sees it, float32 (120, 160, 3). before: the imprint of the last press."""
         flat = np.zeros(LR.shape, np.float32)
-        left = None if before is None else (before, FREE_S)
+        left = None if before is None else (before, self.lift.since_s)
         light = self._light(self._renderer.surface(flat, age, left), age, scars)
         frames = [
             self._renderer.expose(light, ("free", age), Exposure(k, age * PRESS_CYCLE_S))
-            for k in range(FREE_FRAMES)
+            for k in range(LONG.frames if before is None else self.lift.frames)
         ]
         return np.asarray(np.mean([as_view(one) for one in frames], axis=0), np.float32)
 
@@ -155,8 +166,8 @@ def as_view(rgb: U8) -> View:
 class Station:
     """A placing with a bundle that has learnt presses of sound pieces on the new gel."""
 
-    def __init__(self, placing: Placing, seed: int) -> None:
-        line = self.line = Line(placing, seed)
+    def __init__(self, placing: Placing, seed: int, lift: Lift) -> None:
+        line = self.line = Line(placing, seed, lift)
         sensor, detector = profile("cropped_lr"), registry.detector("padim")
         region = Region.centre(sensor.size)
         pictures = {
@@ -311,10 +322,11 @@ def write_rate(number: int, of: int) -> str:
 def main() -> None:
     words = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     words.add_argument("gels", nargs="?", type=int, default=4, help="of each placing")
-    gels, alarms = words.parse_args().gels, Counter[tuple[str, Cause]]()
+    words.add_argument("--brief", action="store_true", help="lift for 0.3 s between presses")
+    given, alarms = words.parse_args(), Counter[tuple[str, Cause]]()
     for number, placing in enumerate(PLACINGS):
-        station = Station(placing, SEED + number)
-        for gel in range(gels):
+        station = Station(placing, SEED + number, BRIEF if given.brief else LONG)
+        for gel in range(given.gels):
             alarms.update(Run(station, gel).play())
     lines = []
     for truth, meaning in MEANINGS.items():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from command_line import gelgate
 from scarred_gel import MARK, scarred_recording
-from station import FPS, HEADER, gel, jpeg, station_config
+from station import FPS, HEADER, Motion, gel, jpeg, station_config
 from stepped_station import SteppedStation
 
 from edge.core.contact.events import ReferenceCorrected
@@ -47,6 +47,51 @@ def test_a_part_that_fails_because_of_a_scar_has_the_cause_gel(played: SteppedSt
     assert "wipe the gel" in (played.results[2].cause_text or "")
     rows = read_history(played.parts.store.path, HistoryQuery())
     assert [row.cause for row in rows] == [cause and cause.value for cause in causes]
+
+
+BRIEF = {18.75: Motion(idle=6), 10.0: Motion(idle=3, hold=6)}
+"""A line that lifts for 0.3 s, by frames a second."""
+
+
+@pytest.mark.parametrize("fps", BRIEF)
+def test_a_new_scar_is_known_where_the_gel_is_free_for_three_tenths_of_a_second(
+    tmp_path: Path, bundle: Path, fps: float
+) -> None:
+    """One frame of the lift shows it; the press after it is judged without it, and damage elsewhere fails."""
+    recording = scarred_recording(
+        tmp_path / "presses", 5, marks={2: [MARK]}, dented=[4], motion=BRIEF[fps], fps=fps
+    )
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+        station.play()
+
+    assert station.verdicts == [Kind.PASS, Kind.PASS, Kind.FAIL, Kind.PASS, Kind.FAIL]
+    assert [result.cause for result in station.results[2:4]] == [Cause.GEL, None]
+    assert station.results[4].cause is not Cause.GEL
+
+
+@pytest.mark.parametrize("fps", BRIEF)
+@pytest.mark.parametrize("rest", [0.12, 0.25])
+def test_what_damaged_parts_leave_on_the_gel_in_such_a_lift_is_no_mark(
+    tmp_path: Path, bundle: Path, fps: float, rest: float
+) -> None:
+    """Five parts of a broken tool, damaged at one place little above the limit; a share of each imprint is there still
+    as the next one comes."""
+    motion, time_ns, rng = BRIEF[fps], 0, np.random.default_rng(3)
+    left, top, side = MARK
+    added = gel(np.random.default_rng(0), 1.0).astype(np.float32) - gel(np.random.default_rng(0))
+    added[top : top + side, left : left + side] -= 20
+    with RecordingWriter(tmp_path / "presses", HEADER) as writer:
+        for press in range(6):
+            depths = [0.5, *[1.0] * motion.hold, 0.3] if press else []
+            for depth in (*depths, *[0.0] * (motion.idle if press else motion.free)):
+                frame = gel(rng).astype(np.float32) + max(depth, rest if press else 0) * added
+                writer.add(jpeg(np.clip(frame, 0, 255).astype(np.uint8)), time_ns, {})
+                time_ns += round(1e9 / fps)
+    with SteppedStation(station_config(tmp_path, tmp_path / "presses", bundle)) as station:
+        station.play()
+
+    assert station.verdicts == [Kind.FAIL] * 5
+    assert Cause.GEL not in [result.cause for result in station.results]
 
 
 def test_a_known_scar_is_not_judged_and_the_result_says_how_much_is_not(played: SteppedStation) -> None:

@@ -1,6 +1,7 @@
 """Recordings of a gel that is scarred between two presses: the mark is in every picture from then on."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ def scarred_recording(
     motion: Motion | None = None,
     levels: float = _LEVELS,
     wiped: int | None = None,
+    fps: float = FPS,
     on_part: Callable[[NDArray[np.uint8], int], NDArray[np.uint8]] = lambda frame, press: frame,
 ) -> Path:
     """Presses as of `press_recording`. marks: left, top and side of the marks that appear before press n, and how
@@ -32,7 +34,7 @@ def scarred_recording(
     rng = np.random.default_rng(5)
     shown: list[tuple[int, int, int]] = []
     number = 0
-    with RecordingWriter(folder, HEADER) as writer:
+    with RecordingWriter(folder, replace(HEADER, nominal_fps=fps)) as writer:
         for press in range(-1, presses):
             depths = [0.0] * motion.free if press < 0 else [0.5, *[1.0] * motion.hold, 0.3]
             after = 0 if press < 0 else motion.idle
@@ -43,7 +45,7 @@ def scarred_recording(
                     shown += marks.get(press + 1, ())
                 frame = gel(rng, depth, press in dented)
                 frame = _marked(on_part(frame, press) if depth else frame, shown, levels)
-                writer.add(jpeg(frame), round(number * 1e9 / FPS), {"press": press if depth else None})
+                writer.add(jpeg(frame), round(number * 1e9 / fps), {"press": press if depth else None})
                 number += 1
     return folder
 

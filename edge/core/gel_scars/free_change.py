@@ -3,6 +3,7 @@
 Light and shading are taken out, and the imprint that the last press has left behind.
 """
 
+from collections import deque
 from dataclasses import dataclass
 from typing import final
 
@@ -128,40 +129,41 @@ def _scale(view: View) -> float:
 
 # About this many views are averaged: a second of an idle station, whose last ones count most.
 _AVERAGED = 10
-# Fewer give no picture of the free gel.
-_LEAST = 3
-# The last views before a press may show its approach.
-_HELD_BACK = 2
+# The last views before a press may show its approach: as long, which is more than one look at an idle gel (0.15 s), and
+# two frames of ten a second, which leaves one of a lift of 0.3 s.
+_HELD_BACK_NS = 180_000_000
 
 _FREE = (State.NO_CONTACT, State.RECOVERY)
 
 
 @final
 class FreeViews:
-    """Feed every view that is looked at; the mean is of those after the last press. It keeps three views."""
+    """Feed every view that is looked at; the mean is of those after the last press. It keeps few views."""
 
     def __init__(self) -> None:
         self._mean: View | None = None
         self._count = 0
-        self._waiting: list[View] = []
+        self._waiting: deque[tuple[int, View]] = deque()
         self._was_free = False
 
-    def see(self, state: State, view: View | None) -> None:
-        """view: float32 (h, w, 3); None while none is known. state: of the contact table, with this view."""
+    def see(self, state: State, view: View | None, timestamp_ns: int, *, is_faint: bool = False) -> None:
+        """Take a view, float32 (h, w, 3); None while none is known. state: of the contact table, with this view.
+        is_faint: something may touch all the same."""
         is_free = state in _FREE and view is not None
-        if not is_free:
-            self._waiting.clear()
+        if is_free and not self._was_free:
+            self._mean, self._count = None, 0
+        while view is not None and self._waiting and timestamp_ns - self._waiting[0][0] >= _HELD_BACK_NS:
+            self._add(self._waiting.popleft()[1])
+        if view is not None and is_free and not is_faint:
+            self._waiting.append((timestamp_ns, view))
         else:
-            if not self._was_free:
-                self._mean, self._count = None, 0
-            self._waiting.append(view)  # type: ignore[arg-type]
-            if len(self._waiting) > _HELD_BACK:
-                self._add(self._waiting.pop(0))
+            self._waiting.clear()
         self._was_free = is_free
 
     def mean(self) -> View | None:
-        """The free gel after the last press, float32 (h, w, 3); None where it was not seen long enough."""
-        return self._mean if self._count >= _LEAST else None
+        """The free gel after the last press, float32 (h, w, 3), of one view at least; None where it was not seen, or
+        just before the next press alone."""
+        return self._mean
 
     def clear(self) -> None:
         """Forget it: another gel is mounted."""

@@ -1,6 +1,7 @@
 """The free gel between presses: which views it is the mean of."""
 
 import numpy as np
+import pytest
 
 from edge.core.contact.table import State
 from edge.core.gel_scars.free_change import FreeViews
@@ -10,10 +11,11 @@ def view(level: float) -> np.ndarray:
     return np.full((6, 8, 3), level, np.float32)
 
 
-def seen(*steps: tuple[State, float]) -> FreeViews:
+def seen(*steps: tuple[State, float], interval_s: float = 0.1, faint: int | None = None) -> FreeViews:
+    """Feed views. faint: the number of one in which something may touch."""
     free = FreeViews()
-    for state, level in steps:
-        free.see(state, view(level))
+    for number, (state, level) in enumerate(steps):
+        free.see(state, view(level), round(number * interval_s * 1e9), is_faint=number == faint)
     return free
 
 
@@ -26,11 +28,23 @@ def mean(free: FreeViews) -> float | None:
     return None if found is None else float(found.mean())
 
 
-def test_three_views_are_the_least_and_the_last_two_wait() -> None:
-    """They may show the approach of the next part."""
-    assert mean(seen(*[FREE] * 4)) is None
-    assert mean(seen(*[FREE] * 5)) == 10
-    assert mean(seen(*[FREE] * 5, (State.NO_CONTACT, 50.0), (State.APPROACH, 60.0), PRESSED)) == 10
+def test_views_just_before_a_press_are_held_back() -> None:
+    """They may show the approach of the next part: at 10 and at 18.75 frames a second, and where every look of an idle
+    gel is."""
+    pressed = (State.APPROACH, 60.0), PRESSED
+    for interval_s, least in ((0.1, 2), (4 / 75, 4), (0.15, 2)):
+        found = [mean(seen(*[FREE] * number, *pressed, interval_s=interval_s)) for number in range(6)]
+        assert found == [None] * least + [10] * (6 - least)
+        late = *[FREE] * least, (State.NO_CONTACT, 50.0), *pressed
+        assert mean(seen(*late, interval_s=interval_s)) == 10
+
+
+def test_a_view_in_which_something_may_touch_is_no_picture_of_the_free_gel() -> None:
+    """Nor is what came just before; what was seen well before counts on."""
+    views = *[FREE] * 2, (State.NO_CONTACT, 50.0), *[FREE] * 3
+
+    assert mean(seen(*views, faint=2)) == 10
+    assert mean(seen(*views)) == pytest.approx((10 + 10 + 50 + 10) / 4)
 
 
 def test_a_press_begins_a_new_mean() -> None:

@@ -288,14 +288,14 @@ def test_marks_are_found_once_for_the_same_pictures(monkeypatch: pytest.MonkeyPa
     asked = list[tuple[object, ...]]()
     monkeypatch.setattr(gel_scars, "marks", lambda *pictures: asked.append(pictures) or marks(*pictures))
     gel, views, left = GelScars(first=FREE), FreeViews(), np.zeros_like(FREE)
-    for _ in range(6):
-        views.see(State.NO_CONTACT, marked(20))
+    for second in range(6):
+        views.see(State.NO_CONTACT, marked(20), second * 10**9)
     before = views.mean()
     gel.find_marks(before, left)
     assert gel.judge(press(free=marked(20)), before, left).blame is not None
     assert len(asked) == 1
-    for _ in range(6):
-        views.see(State.NO_CONTACT, FREE)
+    for second in range(6, 12):
+        views.see(State.NO_CONTACT, FREE, second * 10**9)
     after = views.mean()
     assert before is not None
     assert after is not None
