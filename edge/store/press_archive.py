@@ -195,7 +195,9 @@ class PressArchive:
         for digest, data in objects.items():
             path = self._folder / OBJECTS / digest
             # Somebody may have removed what later presses share with earlier ones, or a power cut damaged it.
-            if not (_holds(path, data) if digest in self._unread else digest in self._sizes and path.exists()):
+            if not (
+                _holds(path, data) if digest in self._unread else digest in self._sizes and path.exists()
+            ):
                 _write(path, data)
             self._unread.discard(digest)
             added = len(data) - self._sizes.get(digest, 0)
