@@ -3,12 +3,12 @@
 >>> import gelgate
 >>> bundle = gelgate.fit("nominal", "bundles/pz1", part="PZ1")
 >>> bundle = gelgate.load("bundles/pz1")
->>> found = bundle.score("press.png")
->>> print(found.verdict)
+>>> press = bundle.score("press.png")
+>>> print(press.verdict)
 pass
->>> found.value < bundle.threshold
+>>> press.value < bundle.threshold
 True
->>> bundle.region, found.map.shape
+>>> bundle.region, press.map.shape
 ((48, 8, 224, 224), (224, 224))
 >>> bundle.score("nowhere.png")
 Traceback (most recent call last):

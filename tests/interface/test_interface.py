@@ -75,13 +75,13 @@ def test_the_examples_run(examples: doctest.TestResults) -> None:
 
 def test_damage_fails_and_the_free_gel_is_rejected(bundle: gelgate.Bundle) -> None:
     """The map is highest at the dent; a gel without a part is no pass."""
-    found = bundle.score(taken(3, dent=True))
+    press = bundle.score(taken(3, dent=True))
     free = bundle.score(taken(4, 0.0))
 
-    assert (found.verdict, found.value is not None and found.value > bundle.threshold) == ("fail", True)
-    assert found.map is not None
+    assert (press.verdict, press.value is not None and press.value > bundle.threshold) == ("fail", True)
+    assert press.map is not None
     x, y, *_ = bundle.region
-    row, column = np.unravel_index(np.argmax(found.map), found.map.shape)
+    row, column = np.unravel_index(np.argmax(press.map), press.map.shape)
     assert np.hypot(column + x - 150, row + y - 100) < 30
     assert (free.verdict, free.value, free.map) == ("rejected", None, None)
     assert "nothing touches the gel" in free.reason
