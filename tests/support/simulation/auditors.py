@@ -13,6 +13,7 @@ from edge.store.press_archive import ArchiveFolder
 from simulation.alarms import audit_alarms, is_sensor_lost
 from simulation.auditors_brokers import audit_availability, audit_levels
 from simulation.auditors_contact import audit_contact, audit_lifts, audit_overloads
+from simulation.auditors_database import audit_locked
 from simulation.auditors_features import audit_bundles, audit_due, audit_master, audit_snapshots, audit_words
 from simulation.auditors_outbox import (
     ARCHIVED,
@@ -83,6 +84,7 @@ def audit_now(world: World, station: Station) -> Iterator[str]:
     yield from audit_availability(world, station)
     yield from _audit_new_gel(world, station)
     yield from audit_alarms(world, station)
+    yield from audit_locked(world, station)
     yield from _audit_sight(world, station)
     is_unsaid = station.is_loss_open and "counts" not in station.loop.parts.status.view().alarms
     lost_ns = station.so_since("a loss is not said", is_unsaid and station.loop.session is not None)

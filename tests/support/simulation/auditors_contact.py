@@ -98,7 +98,11 @@ def audit_lifts(world: World, station: Station) -> Iterator[str]:
     for one in world.relay.switched:
         if one.channel != LIFT:
             continue
-        begun = [press for press in world.hand.presses if press.begin_ns <= one.told_ns][-1:]
+        begun = [
+            press
+            for press in world.hand.presses
+            if press.begin_ns <= one.told_ns and not _is_unseen(station, press, one.told_ns)
+        ][-1:]
         own = [seen for seen in station.seen if begun and begun[0].begin_ns <= seen.noted_ns <= one.told_ns]
         why = begun[0].why if begun else set()
         is_of_before = "process frozen" in why and one.told_ns - begun[0].begin_ns < UNHEARD_S * S
@@ -111,6 +115,13 @@ def audit_lifts(world: World, station: Station) -> Iterator[str]:
             yield f"lift was shown at {one.told_ns / S:.3f} s, and press {number} was not recorded yet"
     for broker in world.brokers.values():
         yield from (f"{broker.name}: {what}" for what in _audit_messages(world, station, broker))
+
+
+def _is_unseen(station: Station, press: MadePress, told_ns: int) -> bool:
+    """Tell whether it began while the loop hung that has just gone on, and has not looked at it."""
+    return any(
+        began_ns < press.begin_ns < ended_ns > told_ns - S // 20 for began_ns, ended_ns in station.hung
+    )
 
 
 def _audit_messages(world: World, station: Station, broker: Broker) -> Iterator[str]:

@@ -53,6 +53,9 @@ MEETING_STEPS = (0, 5, 9, 12)
 TURN_S, MET = 12, 12.0
 """A turn lasts so long at most; and of each fault of a meeting there are so many in a minute of it."""
 
+LATER = ("lock database",)
+"""Faults that do not change what else a seed draws."""
+
 WORK = (
     ("command", "", ""),
     ("automatic", "modbus", "fixed"),
@@ -112,7 +115,7 @@ class Chosen:
         """Draw. Most kinds of fault are left out of a run, so that others meet alone; seeds that follow each other have
         every kind and every meeting. A PLC is always disturbed, and met by a second one."""
         rng = random.Random(f"{seed} chosen")
-        drawn = [name for name in names if name not in ("begin piece", "hang")]  # which come below
+        drawn = [name for name in names if name not in ("begin piece", "hang", *LATER)]  # which come below
         rates = {name: rng.choice((1.0, 4.0)) for name in drawn if rng.random() < 0.1}
         rates |= {drawn[turn % len(drawn)]: 4.0 for turn in (seed, 5 * seed + 7)}
         trigger, plc, piece = WORK[seed % len(WORK)]
@@ -148,5 +151,7 @@ class Chosen:
             features = tuple(name for name in features if name != REFERENCE)
         chosen = replace(chosen, stamps_late=rng.random() < 0.5, features=features)
         rates |= {"say": 4.0, **dict.fromkeys(features, 4.0)}
+        own = random.Random(f"{seed} chosen later")
+        rates |= {name: own.choice((1.0, 4.0)) for name in LATER if name in names and own.random() < 0.15}
         disturbed = {"second plc": 1.0, **rates, "plc": 4.0}
         return replace(chosen, rates=disturbed) if chosen.plc and "plc" in names else chosen

@@ -107,6 +107,9 @@ SOMETIMES = (
     "a piece took too long",
     "plc mute",
     "plc slow",
+    *(f"database locked{when}" for when in ("", " during a press")),
+    *(f"another program {what} at the database" for what in ("writes", "reads", "is alone")),
+    "the loop waited for a database that was locked",
 )
 
 
@@ -144,6 +147,7 @@ def reached_at_end(world: World, station: Station) -> Iterator[str]:
     ]
     found["a robot lifted at the word of the station"] = world.hand.lifted_at_word > 0
     found["a robot was told nothing, and lifted"] = len(robots) > world.hand.lifted_at_word
+    found["the loop waited for a database that was locked"] = station.shared.has_waited
     found["a file has results"] = (station.disk.folder / MESSAGES / "messages.jsonl").exists()
     results = [same[0] for broker in world.brokers.values() for same in broker.results.values()]
     found["a shadow passed what failed"] = any(one["shadow"] and one["verdict"] == "fail" for one in results)

@@ -47,6 +47,10 @@ class Turns:
         self.is_waiting = not self._current.dead
         return pause_s
 
+    def is_of(self, current: object) -> bool:
+        """Tell whether this turn is the one that waits here."""
+        return self.is_waiting and self._current is current
+
     def end(self) -> None:
         """The process is gone, and this turn is not finished."""
         if self.is_waiting:
@@ -70,6 +74,9 @@ class Connections:
         """Of the station's threads that use a connection, by name."""
         self.on_news: Callable[[], None] = lambda: None
         """Called when a connection of the station has read something."""
+        self.let_all_wait: Callable[[float], None] = clock.sleep
+        self.is_ending = False
+        """No turn goes on."""
         self.answer: Callable[[Callable[[str, bytes], bytes], str, bytes], bytes]
         """Do a request on a thread of its own."""
 
@@ -114,10 +121,16 @@ class Connections:
             if going and all(self.turns[name].is_waiting for name in going):
                 self.clock.sleep(0.01)
 
+    def settle(self, name: str) -> None:
+        """Let a turn come to its end."""
+        while self.turns[name].is_waiting:
+            self.clock.sleep(max(0.001, self.turns[name].act()))
+
     def end_turns(self) -> None:
         """The process is gone."""
         for turns in self.turns.values():
             turns.end()
+            self.is_ending = False
         self.sinks.clear()
 
     def close(self) -> None:
@@ -130,7 +143,7 @@ class Connections:
     def wait(self, is_over: Callable[[], bool], lasts_s: float, poll_s: float = 3600.0) -> None:
         """Wait while others take their turns. Where nobody can, it returns at once. poll_s: it looks again so soon."""
         until_ns, here = self.clock.now_ns + round(lasts_s * S), getcurrent()
-        while not self.is_dead():
+        while not (self.is_dead() or self.is_ending):
             self.pump()
             if is_over() or self.clock.now_ns >= until_ns or here.parent is None:
                 return

@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from simulation.locks import Locker
 from simulation.power import Unsynced
 
 TRANSACTION = ("BEGIN", "COMMIT", "ROLLBACK")
@@ -32,6 +33,7 @@ class Disk:
         """Takes from the copy what a loss of power takes; None where only the process is killed."""
         self.is_full = False
         self.full_since_ns = 0
+        self.locker = Locker(folder / "gelgate.db")
         self.copy: Path | None = None
         self.killed_at = ""
         self._new: list[sqlite3.Connection] = []

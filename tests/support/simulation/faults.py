@@ -203,6 +203,29 @@ def bad_disk(run: "Simulation", rng: random.Random) -> float:
     return run.for_a_while("disk errs", rng.uniform(0.5, 5), mend, is_sensors=True)
 
 
+def lock_database(run: "Simulation", rng: random.Random) -> float:
+    """Another program locks the database: a shell, a check or a backup; or it is alone while the station starts."""
+    locker, kind = run.station.disk.locker, rng.choice(("writes", "writes", "writes", "reads", "is alone"))
+    lasts_s = rng.choice((0.05, 0.6, 2.0, 4.0, 8.0, 15.0, 30.0))
+
+    def leave() -> None:
+        locker.leave()
+        locker.left_ns = run.world.clock.now_ns
+
+    def lock() -> None:
+        if run.station.loop.parts.selection.is_waiting:
+            run.world.parts.forget(run.world.clock.now_ns)
+        if locker.take(kind):
+            run.reach(f"another program {kind} at the database")
+            run.for_a_while("database locked", lasts_s, leave, is_sensors=True)
+
+    if kind == "is alone" and not run.ending.keys() & {"database locked", "disk full", "disk errs"}:
+        stop(run, rng, lock)
+    else:
+        lock()
+    return lasts_s
+
+
 # Clock
 
 
@@ -397,6 +420,7 @@ FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "fill disk": fill_disk,
     "slow disk": slow_disk,
     "bad disk": bad_disk,
+    "lock database": lock_database,
     "step clock": step_clock,
     "stop": stop,
     "lose database": lose_database,
@@ -492,6 +516,7 @@ MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
     "hold back": _is_pressed_unjudged,
     "fill disk": lambda run: "hang up" not in run.meeting or _is_result_unsent(run),
     "unplug": _is_pressed_judged,
+    "lock database": _is_pressed_unjudged,
     "begin piece": _is_piece_asked_for,
 }
 """When a fault does most harm: every other one waits for it."""
@@ -499,7 +524,7 @@ MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
 WAIT_FIRST = {"step clock", "silence", "blind", "hold back", "unplug", "begin piece"}
 """Faults whose first one waits; of others a draw says whether it does."""
 
-NEEDS_ANSWER = {"stop", "lose database", "freeze", "hang", *PEOPLE, *ASKED}
+NEEDS_ANSWER = {"stop", "lock database", "lose database", "freeze", "hang", *PEOPLE, *ASKED}
 """Faults that need an answer of the process."""
-NEEDS_DISK = {"fill disk", "lose power", "slow disk", "bad disk"}
+NEEDS_DISK = {"fill disk", "lose power", "slow disk", "bad disk", "lock database"}
 """Faults for which the writes of SQLite are listened to."""

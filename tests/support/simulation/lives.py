@@ -34,6 +34,7 @@ from edge.model.session import TrunkSessions
 from edge.press_stage import PressStage
 from simulation.bundles import PARTS
 from simulation.disk import Disk, hear_audits
+from simulation.locks import SharedDatabase
 from simulation.options import SECRET
 from simulation.sensor import SERIAL, S
 from simulation.surroundings import World
@@ -148,7 +149,7 @@ class Station:
         self.loop: StationLoop
         world.is_dead = lambda: self.disk.is_dead
         world.may_refuse = lambda: self.is_disk_disturbed or self.is_hanging
-        world.connections.answer = self.answer
+        world.connections.answer, self.shared = self.answer, SharedDatabase(world.connections)
         hear_audits(self.disk)
 
     def open(self) -> None:
@@ -172,6 +173,7 @@ class Station:
         self.configured = {part.part: one.bundle.digest for part, one in checked.bundles.bundles.items()}
         opened = open_station(self.config, clock, self._note, checked, stages={"witness": Witness(self)})
         self.loop = self._closing.enter_context(opened)
+        self.shared.begin(self)
         self.loop.parts.pictures.recall()
         if handshake := self.loop.find(HandshakeStage):
             handshake.start()
@@ -197,7 +199,8 @@ class Station:
     @property
     def is_disk_disturbed(self) -> bool:
         """No room, or errors."""
-        return self.disk.is_full or (self.disk.unsynced is not None and self.disk.unsynced.fails is not None)
+        is_refusing = self.disk.is_full or self.disk.locker.is_refusing
+        return is_refusing or (self.disk.unsynced is not None and self.disk.unsynced.fails is not None)
 
     @property
     def is_held_up(self) -> bool:
@@ -230,6 +233,7 @@ class Station:
             StoreError
         ) as error:  # the program ends with it; presses that wait are counted at the next start
             self.world.said.append(str(error))
+        self.world.connections.settle("pictures")
         self.hear_answers()
         self._closing.close()
         self.world.connections.end_turns()
@@ -294,8 +298,12 @@ class Station:
         self._closing.close()
         self.disk.forget()
         hear_audits(None)
+        kind = self.disk.locker.kind
+        self.disk.locker.leave()
         shutil.rmtree(self.disk.folder)
         copy.rename(self.disk.folder)
+        if kind:
+            self.disk.locker.take(kind)
         known = {press_id for press_id, *_ in self.rows()} if self.filled else set()
         self.filled = {
             piece: {place: one for place, one in places.items() if one[1] in known}
@@ -369,6 +377,8 @@ class Station:
     def hear_answers(self) -> None:
         """Wait for the threads whose requests the loop has done, with the golden frames that one may have asked for."""
         golden = self.loop.parts.selection.golden._asked
+        if self.shared.is_store_held:  # which they may wait for
+            return
         if not self.loop.parts.calls._waiting and all(asked.done() for asked in golden):
             for thread in self.asking:
                 thread.join()

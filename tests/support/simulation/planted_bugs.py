@@ -323,4 +323,18 @@ BUGS = (
         "self._is_doubtful = False",
         "the loop hung since its press was seen|and press .* was not recorded yet",
     ),
+    Bug(
+        "a lock is not waited for",
+        "edge/store/database.py",
+        "BUSY_TIMEOUT_S: Final = 5.0",
+        "BUSY_TIMEOUT_S: Final = 0.0",
+        "is locked for .* s, and the alarm store is raised",
+    ),
+    Bug(
+        "a lock is waited for as long as it lasts",
+        "edge/store/database.py",
+        "BUSY_TIMEOUT_S: Final = 5.0",
+        "BUSY_TIMEOUT_S: Final = 25.0",
+        "waits for a locked database, and the alarm store is not raised",
+    ),
 )

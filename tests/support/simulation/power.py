@@ -9,6 +9,7 @@ import ctypes
 import os
 import random
 import sqlite3
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from ctypes import (
@@ -32,6 +33,7 @@ OPEN = CFUNCTYPE(c_int, c_void_p, c_void_p, c_void_p, c_int, c_void_p)
 TRANSFER = CFUNCTYPE(c_int, c_void_p, c_void_p, c_int, c_int64)
 SYNC = CFUNCTYPE(c_int, c_void_p, c_int)
 CLOSE = CFUNCTYPE(c_int, c_void_p)
+SLEEP = CFUNCTYPE(c_int, c_void_p, c_int)
 
 
 class Vfs(Structure):
@@ -41,6 +43,8 @@ class Vfs(Structure):
         ("name", c_char_p),
         ("data", c_void_p),
         ("open", c_void_p),
+        ("others", c_void_p * 8),
+        ("sleep", c_void_p),
     )
 
 
@@ -64,6 +68,8 @@ class Unsynced:
         """Of other files, by inode: the content at the last sync."""
         self.at_sync: Callable[[], object] | None = None
         """Called at each sync: it takes its time."""
+        self.at_sleep: Callable[[float], object] = time.sleep
+        """What SQLite does between two attempts to get a lock."""
         self.fails: Callable[[str], bool] | None = None
         """Tells whether a `read`, `write` or `sync` of the database fails."""
         self.room: int | None = None
@@ -134,13 +140,13 @@ def listening(folder: Path) -> Iterator[Unsynced]:
     found, library = Unsynced(folder), ctypes.CDLL(find_library())
     library.sqlite3_vfs_find.restype = POINTER(Vfs)
     vfs = library.sqlite3_vfs_find(None).contents
-    real, kept = vfs.open, _exchange(found, vfs)
+    real, kept = (vfs.open, vfs.sleep), _exchange(found, vfs)
     syncs = os.fsync, os.fdatasync
     os.fsync, os.fdatasync = (_noted(found, sync) for sync in syncs)
     try:
         yield found
     finally:
-        vfs.open = real
+        vfs.open, vfs.sleep = real
         os.fsync, os.fdatasync = syncs
         _KEPT.append(kept)
 
@@ -178,9 +184,13 @@ def _exchange(found: Unsynced, vfs: Vfs) -> list[Any]:
             place[0] = ctypes.addressof(tables[place[0]])
         return code
 
-    opened = OPEN(open_file)
-    kept += [opened, tables]
-    vfs.open = cast(opened, c_void_p)
+    def sleep(this: int, microseconds: int) -> int:
+        found.at_sleep(microseconds / 1e6)
+        return microseconds
+
+    opened, slept = OPEN(open_file), SLEEP(sleep)
+    kept += [opened, slept, tables]
+    vfs.open, vfs.sleep = cast(opened, c_void_p), cast(slept, c_void_p)
     return kept
 
 

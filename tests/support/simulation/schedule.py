@@ -373,7 +373,7 @@ class Simulation:
         except StoreError as error:
             self.note(f"the start failed: {error}")
             self.reach("a start failed, and the next one did not")
-            for fault in {"disk errs", "disk full"} & set(self.ending):
+            for fault in {"disk errs", "disk full", "database locked"} & set(self.ending):
                 self.ending.pop(fault)()
             self.station.open()
         for actor in self._threads.own:

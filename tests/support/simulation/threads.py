@@ -38,24 +38,26 @@ class Threads:
         self._run = run
         self._look_ns: dict[str, int] = {}
         self.camera = Actor("camera", self._camera)
-        turns = self._run.world.connections.turns["loop"] = Turns(self._loop)
+        connections = run.world.connections
+        turns = connections.turns["loop"] = Turns(self._loop)
         self._reader, self._looper = Actor("reader", self._read), Actor("loop", turns.act)
         self._relay = Actor("relay", self._switch)
-        threads = [self._reader, self._looper, Actor("pictures", self._draw)]
+        drawer = connections.turns["pictures"] = Turns(self._draw)
+        threads = [self._reader, self._looper, Actor("pictures", drawer.act)]
         threads += [
             Actor("bundles", self._open_bundles),
             Actor("pedal", self._tread),
             self._relay,
         ]
         threads.append(Actor("network", self._pump))
-        connections = self._run.world.connections
         for name in self._run.world.brokers:
             work = {name: self._publish, f"{name} connect": self._connect, f"{name} commands": self._answer}
             for thread, turn in work.items():
                 turns = connections.turns[thread] = Turns(partial(turn, name))
                 threads.append(Actor(thread, turns.act))
         if run.chosen.has_file:
-            threads.append(Actor("file", partial(self._publish, "file")))
+            turns = connections.turns["file"] = Turns(partial(self._publish, "file"))
+            threads.append(Actor("file", turns.act))
         if SNAPSHOT in run.chosen.features:
             threads.append(Actor("snapshots", self._write_snapshots))
         connections.on_news = self._wake_waiting
@@ -201,7 +203,7 @@ class Threads:
 
     def _answer(self, name: str) -> float:
         sink = self._run.world.connections.sinks[name]
-        if sink._requests._waiting.empty():
+        if sink._requests._waiting.empty() or self._run.station.shared.is_store_held:
             return 0.1 + self._lag(0.1)
         request = sink._requests.next()
         if request is not None:
