@@ -14,7 +14,15 @@ from simulation.alarms import audit_alarms, is_sensor_lost
 from simulation.auditors_brokers import audit_availability, audit_levels
 from simulation.auditors_contact import audit_contact, audit_lifts, audit_overloads
 from simulation.auditors_database import audit_locked
-from simulation.auditors_features import audit_bundles, audit_due, audit_master, audit_snapshots, audit_words
+from simulation.auditors_features import (
+    audit_bundles,
+    audit_due,
+    audit_master,
+    audit_overview,
+    audit_snapshots,
+    audit_words,
+    may_lack_still,
+)
 from simulation.auditors_outbox import (
     ARCHIVED,
     audit_archive,
@@ -135,6 +143,7 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from audit_archive(station)
     yield from audit_memory(world, station)
     yield from audit_bundles(world, station)
+    yield from audit_overview(world, station, found)
     yield from audit_master(world, station)
     yield from station.found
     without = [press for press in world.hand.presses if press.number not in found]
@@ -231,7 +240,9 @@ def _audit_presses(world: World, station: Station, found: dict[int | None, list[
             if press.is_bad and verdict == "pass":
                 yield f"press {press.number} is {press.what} and passed ({', '.join(press.why) or 'no fault'})"
             allowed = press.words | (
-                {"rejected"} if world.has_pieces or may_be_other_part(world, press) else set()
+                {"rejected"}
+                if world.has_pieces or may_be_other_part(world, press) or may_lack_still(world, press)
+                else set()
             )  # a place, or a part, that is not expected
             if not press.why and verdict not in allowed:
                 yield f"press {press.number}, {press.what}, has the verdict {verdict}, without any fault"

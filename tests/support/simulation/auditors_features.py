@@ -1,12 +1,14 @@
 """What holds of what people ask of features (docs/operations.md, docs/mqtt.md)."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from edge.core.errors import GelgateError
 from edge.recording.format import Recording
-from simulation.lives import Station
+from simulation.hand import MadePress
+from simulation.lives import Row, Station
+from simulation.overview_camera import MAX_AGE_S
 from simulation.sensor import S
 from simulation.surroundings import WALL_NS, World
 
@@ -119,3 +121,34 @@ def audit_master(world: World, station: Station) -> Iterator[str]:
         retained = json.loads(broker.retained.get("reference", b"{}")).get("press_id")
         if rows and retained not in (None, rows[-1][0]):
             yield f"{broker.name} retains press {retained} of the master piece, and it is {rows[-1][0]}"
+
+
+STILL_S = 0.6
+"""A camera that is well again gives its next still so soon."""
+
+OPENED_S = 12.0
+"""One that was unplugged, or hung, is opened again so soon."""
+
+
+def may_lack_still(world: World, press: MadePress) -> bool:
+    """Tell whether there may be no still of this part, so that its press is refused."""
+    camera, begin_ns = world.overview, press.begin_ns
+    return camera is not None and camera.was_troubled(begin_ns - round(OPENED_S * S), begin_ns + S)
+
+
+def audit_overview(
+    world: World, station: Station, found: Mapping[int | None, Sequence[Row]]
+) -> Iterator[str]:
+    """A press is judged as the part whose code the newest still shows, and not at all without one of these seconds
+    (docs/operations.md). A still of before a fault may show the part before."""
+    camera = world.overview
+    for press in world.hand.presses if camera is not None else ():
+        assert camera is not None
+        begin_ns, seen_ns = press.begin_ns, press.begin_ns + round(world.noticed_s * S)
+        is_blind = camera.was_blind(begin_ns - round((MAX_AGE_S + STILL_S) * S), seen_ns + S)
+        is_well = not camera.was_troubled(begin_ns - round(OPENED_S * S), seen_ns)
+        for _, verdict, part, _ in found.get(press.number, []):
+            if verdict in ("pass", "fail") and is_blind and not press.why:
+                yield f"press {press.number} is judged, and the overview camera has not seen its part"
+            if verdict in ("pass", "fail") and is_well and not press.why and part != press.part:
+                yield f"press {press.number} is of {press.part}, and is judged as {part}"

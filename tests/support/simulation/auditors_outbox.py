@@ -62,7 +62,7 @@ def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
 
 def _describe(topic: str, content_type: str, payload: bytes) -> tuple[str, str]:
     if topic not in ("result", "piece_result"):
-        return "picture" if topic.startswith(("heatmap", "scoremap")) else "fail", topic
+        return "picture" if content_type.startswith("image/") else "fail", topic
     result = json.loads(payload)
     own_id = result["press_id" if topic == "result" else "piece_id"]
     return "pass" if result["verdict"] == "pass" else "fail", own_id

@@ -23,8 +23,8 @@ def is_small(outbox_mb: float) -> bool:
     return outbox_mb < 1
 
 
-SNAPSHOT, REFERENCE = "snapshot", "reference_press"
-"""Features, by the requests that they serve."""
+SNAPSHOT, REFERENCE, OVERVIEW = "snapshot", "reference_press", "overview"
+"""Features, two by the requests that they serve."""
 
 MEETINGS = (
     ("silence",),
@@ -146,9 +146,9 @@ class Chosen:
             rates |= dict.fromkeys(("hang up", "stop"), 4.0)
         if rng.random() < 0.2:
             rates["hang"] = 4.0
-        features = tuple(name for name in (SNAPSHOT, REFERENCE) if rng.random() < 0.4)
-        if plc or piece or trigger == "command":  # a master piece is pressed by a person who has asked for it
-            features = tuple(name for name in features if name != REFERENCE)
+        features = tuple(name for name in (SNAPSHOT, REFERENCE, OVERVIEW) if rng.random() < 0.4)
+        if plc or piece or trigger == "command":  # a person asks for a master piece, and the code selects
+            features = tuple(name for name in features if name == SNAPSHOT)
         chosen = replace(chosen, stamps_late=rng.random() < 0.5, features=features)
         rates |= {"say": 4.0, **dict.fromkeys(features, 4.0)}
         own = random.Random(f"{seed} chosen later")

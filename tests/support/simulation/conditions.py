@@ -36,6 +36,9 @@ SOMETIMES = (
     "a snapshot was asked for",
     "a snapshot was written",
     "a shadow was refused",
+    *(f"overview {mood}" for mood in ("unplugged", "silent", "frozen", "broken")),
+    "the code on a part selected its bundle",
+    "a press was refused, for the overview camera saw nothing",
     "a master piece was asked for",
     "a master piece was pressed",
     "the free gel was learnt again",
@@ -150,6 +153,12 @@ def reached_at_end(world: World, station: Station) -> Iterator[str]:
     found["the loop waited for a database that was locked"] = station.shared.has_waited
     found["a file has results"] = (station.disk.folder / MESSAGES / "messages.jsonl").exists()
     results = [same[0] for broker in world.brokers.values() for same in broker.results.values()]
+    found["the code on a part selected its bundle"] = any(
+        one["part_codes"] and one["verdict"] == "pass" and one["part"] == PARTS[1] for one in results
+    )
+    found["a press was refused, for the overview camera saw nothing"] = any(
+        str(one["reason"]).startswith("no_overview") for one in results
+    )
     found["a shadow passed what failed"] = any(one["shadow"] and one["verdict"] == "fail" for one in results)
     yield from (name for name, is_so in found.items() if is_so)
     yield from _of_plcs(world)

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 from edge.core.errors import StoreError
 from simulation.asked import ASKED
-from simulation.chosen import is_small
+from simulation.chosen import OVERVIEW, is_small
 from simulation.outputs import LAMP
+from simulation.overview_camera import disturb_overview
 from simulation.people import PEOPLE
 from simulation.plc import STEPS, Server
 from simulation.sensor import OTHER_SERIAL, SERIAL, S
@@ -156,6 +157,10 @@ def fill_disk(run: "Simulation", rng: random.Random) -> float:
     """No room on the disk, then room again."""
     disk = run.station.disk
     lasts_s, room = rng.uniform(8 if run.is_full_and_away else 1, 14), rng.choice((0, 0, 30_000))
+    if "replace gel" in run.meeting:
+        room = max(
+            room, 200_000
+        )  # a gel and some presses are recorded, and no file of the archive is written
     disk.fill(room)
     disk.full_since_ns = run.world.clock.now_ns
     if run.station.loop.parts.selection.is_waiting:
@@ -432,6 +437,7 @@ FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "pedal": disturb_pedal,
     "plc": disturb_plc,
     "second plc": join_plc,
+    OVERVIEW: disturb_overview,
     **PEOPLE,
     **ASKED,
 }
@@ -506,7 +512,7 @@ def _is_result_unsent(run: "Simulation") -> bool:
 
 MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
     "select part": lambda run: _is_pressed_unjudged(run) or _is_part_asked_for(run),
-    "replace gel": _is_pass_shown,
+    "replace gel": lambda run: _is_pass_shown(run) or run.station.disk.is_full,
     "kill": _is_press_unrecorded,
     "lose power": _is_press_unrecorded,
     "stop": _is_loss_unread,

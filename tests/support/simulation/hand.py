@@ -23,6 +23,8 @@ HARD = 3.0
 """So much deeper than other presses is a hard one."""
 ROBOT_WAITS_S = 2.5
 """For the word of the station; then it lifts."""
+TAKES_FRAMES = 4
+"""So many frames before it is pressed a part is seen; the one before is seen until then."""
 PATIENCE = 0.9
 """The share of people who wait half a second more for a station that is not ready."""
 
@@ -42,6 +44,8 @@ class MadePress:
     """It was made on a full disk, and counts on the gel although the process was killed."""
     is_asked: bool = True
     """The station judges by itself, or a person asked for the verdict."""
+    part: str = ""
+    """Which it is, where the hand takes parts of several kinds."""
     master_ns: int = 0
     """It is of the master piece, which was asked for then."""
     is_others: bool = True
@@ -93,6 +97,10 @@ class Hand:
         self.lifted_at_word = 0
         self.has_dented = False
         """The next part is dented."""
+        self.parts: Sequence[str] = ()
+        """The kinds of part that it takes; empty where the station is told which comes."""
+        self.part = ""
+        """Of the part that lies there: it is pressed now, or next."""
         self.master_ns = 0
         """The next press is of the master piece, which was asked for then."""
         self._was_off = False
@@ -139,6 +147,8 @@ class Hand:
             self._hold(press, phase, now_ns)
         if press and phase == FREE:
             press.end_ns = now_ns
+        if self.press is None and len(self._phases) == TAKES_FRAMES:
+            self.take_part()
         return phase
 
     def _hold(self, press: MadePress, phase: Phase, now_ns: int) -> None:
@@ -161,6 +171,11 @@ class Hand:
         """Leave the gel free for this long, from the end of the press on."""
         self._phases.extend(repeat(FREE, round(seconds / self._period_s)))
 
+    def take_part(self) -> None:
+        """Take the next part."""
+        if self.parts:
+            self.part = self._rng.choice(self.parts)
+
     def _begin(self, now_ns: int) -> None:
         what = self._rng.choices(("sound", "dented", "glaring"), (77, 20, 3))[0]
         what, self.has_dented = "dented" if self.has_dented else what, False
@@ -168,7 +183,9 @@ class Hand:
         self._was_off = False
         if self.master_ns:
             what, way = "sound", "steady"
-        self.presses.append(MadePress(len(self.presses), now_ns, what, way, master_ns=self.master_ns))
+        self.presses.append(
+            MadePress(len(self.presses), now_ns, what, way, part=self.part, master_ns=self.master_ns)
+        )
         self.master_ns = 0
         self._phases.extend((depth, what) for depth in self._depths(way))
         self._phases.extend(repeat(FREE, self._frames(0.35, 0.75, 4)))

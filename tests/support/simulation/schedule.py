@@ -21,13 +21,14 @@ from simulation.auditors import CALM_S, audit_end, audit_now, audit_replay
 from simulation.auditors_outbox import ARCHIVED
 from simulation.auditors_pieces import audit_pieces
 from simulation.auditors_retained import audit_retained
-from simulation.chosen import MET, REFERENCE, TURN_S, Chosen, Fault, is_small
+from simulation.chosen import MET, OVERVIEW, REFERENCE, TURN_S, Chosen, Fault, is_small
 from simulation.conditions import reached_at_end
 from simulation.connections import AT_ONCE_S, connecting
 from simulation.faults import FAULTS, MOMENTS, NEEDS_ANSWER, NEEDS_DISK, WAIT_FIRST, is_held_up
 from simulation.lives import Station
 from simulation.options import MESSAGES, SECRET
 from simulation.outputs import TABLES
+from simulation.overview_camera import TABLE as OVERVIEW_TABLE
 from simulation.pieces import PIECE
 from simulation.plc import HANDSHAKE
 from simulation.power import listening
@@ -328,7 +329,9 @@ class Simulation:
         self._actors.append(actor)
         self.note(f"{name}, for {lasts_s:.1f} s")
         if name.split()[0] not in self.world.brokers:
-            self.reach(name) if name.startswith(("relay", "pedal", "plc")) else self.reach_here(name)
+            self.reach(name) if name.startswith(("relay", "pedal", "plc", "overview")) else self.reach_here(
+                name
+            )
         return lasts_s
 
     def _rise(self) -> None:
@@ -395,10 +398,11 @@ class Simulation:
             secret=self._secret,
             trigger=self.chosen.trigger,
             shadows=shadows,
-            more=", ".join(f'"{name}"' for name in self.chosen.features),
+            more=", ".join(f'"{name}"' for name in self.chosen.features if name != OVERVIEW),
         )
         text += TABLES + "".join(SINK.format(name=name, at_once_s=AT_ONCE_S) for name in self.order)
         text += PIECE.format(order=self.chosen.piece) if self.world.has_pieces else ""
+        text += OVERVIEW_TABLE if OVERVIEW in self.chosen.features else ""
         text += MASTER_TABLE if REFERENCE in self.chosen.features else ""
         text += HANDSHAKE if self.world.has_plc else ""
         text += FILE.format(folder=self._disk / MESSAGES) if self.chosen.has_file else ""

@@ -18,10 +18,11 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.press import Press
 from simulation.brokers import Broker
 from simulation.bundles import PARTS
-from simulation.chosen import Chosen
+from simulation.chosen import OVERVIEW, Chosen
 from simulation.connections import Connections
 from simulation.hand import MadePress
 from simulation.outputs import LIFT, OVERLOAD, Pedal, Relay
+from simulation.overview_camera import OverviewCamera
 from simulation.pieces import PieceWorker
 from simulation.plc import Plc, Server
 from simulation.sensor import SERIAL, S, Sensor
@@ -54,6 +55,8 @@ class Selected:
 
     def __init__(self, first: str, noticed_s: float) -> None:
         self.wanted, self._noticed_s = first, noticed_s
+        self.is_sole = True
+        """Nobody else selects."""
         self._changes: list[tuple[int, str | None]] = [(0, first)]
 
     @property
@@ -65,7 +68,7 @@ class Selected:
     def select(self, now_ns: int, part: str) -> None:
         """Take a selection that the station has confirmed."""
         self.wanted = part
-        self._changes.append((now_ns, part))
+        self._changes.append((now_ns, part if self.is_sole else None))
 
     def forget(self, now_ns: int) -> None:
         """A selection that waits may be lost: a restart, or a disk without room."""
@@ -137,6 +140,12 @@ class World:
         """That of the cell, and others that came."""
         if self.has_plc:
             self.add_plc(random.Random(f"{seed} plc"), "10.0.0.1", 1)
+        self.overview: OverviewCamera | None = None
+        if OVERVIEW in chosen.features:
+            self.hand.parts, self.parts.is_sole = PARTS, False
+            self.hand.take_part()
+            self.parts.forget(self.clock.now_ns)  # the code on the part selects
+            self.overview = OverviewCamera.now = OverviewCamera(self.clock, self.hand, PARTS)
         self.lacks_files_ns = 0
         """The archive may lack presses of until then: the power was lost, or the disk was full."""
         self.new_gel_ns = -S
@@ -203,6 +212,7 @@ def install_plugins(folder: Path) -> Iterator[None]:
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: simulated\nVersion: 1\n")
     places = {
         "devices": "simulation.sensor:sensor_plugin",
+        "overviews": "simulation.overview_camera:overview_plugin",
         "sinks": "simulation.connections:mqtt_plugin",
         "triggers": "simulation.outputs:pedal_plugin",
         "actuators": "simulation.outputs:relay_plugin",

@@ -7,9 +7,10 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from edge.core.errors import GelgateError
+from edge.features.overview import Overview
 from edge.features.snapshots import Snapshots
 from simulation.asked import WITHIN_S
-from simulation.chosen import SNAPSHOT
+from simulation.chosen import OVERVIEW, SNAPSHOT
 from simulation.connections import Turns
 from simulation.hand import MadePress
 from simulation.sensor import S
@@ -60,6 +61,8 @@ class Threads:
             threads.append(Actor("file", turns.act))
         if SNAPSHOT in run.chosen.features:
             threads.append(Actor("snapshots", self._write_snapshots))
+        if OVERVIEW in run.chosen.features:
+            threads.append(Actor("overview", self._look_over))
         connections.on_news = self._wake_waiting
         self.own = threads
         plcs = [Actor("plc", plc.act) for plc in run.world.plcs]
@@ -176,6 +179,13 @@ class Threads:
         assert stage is not None
         stage.worker.step()
         return 0.2 + self._lag(0.2)
+
+    def _look_over(self) -> float:
+        stage, camera = self._run.station.loop.find(Overview), self._run.world.overview
+        assert stage is not None
+        assert camera is not None
+        pause_s = stage.camera.step()
+        return pause_s or max(0.02, (camera.next_ns - self._run.world.clock.now_ns) / S) + self._lag(0)
 
     def _switch(self) -> float:
         (driver,) = self._run.station.outputs.drivers
