@@ -101,7 +101,7 @@ def history(
     elif output is not None:
         typer.echo(f"{write_count(write_history(output, rows), 'press')} in {output}")
     elif as_json:
-        _print_json(rows)
+        _print_json(rows, count_verdicts(path, query) if count is None else {})
     else:
         _print(rows, count_verdicts(path, query) if count is None else None, path)
 
@@ -193,9 +193,14 @@ def _print_shadows(rows: Iterable[HistoryRow]) -> None:
         typer.echo("no press that fits was judged by a shadow")
 
 
-def _print_json(rows: Iterable[HistoryRow]) -> None:
+def _print_json(rows: Iterable[HistoryRow], totals: Mapping[str, int]) -> None:
+    """Print a line for each press. totals: of all that fit; empty where a number of them was asked for."""
+    printed = 0
     for row in rows:
         typer.echo(json.dumps(asdict(row)))
+        printed += 1
+    if printed < (fitting := sum(totals.values())):
+        typer.echo(f"gelgate: hint: the newest {printed} of {fitting} presses; --count gives more", err=True)
 
 
 def _print(rows: Iterable[HistoryRow], totals: Mapping[str, int] | None, database: Path) -> None:

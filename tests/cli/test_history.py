@@ -46,6 +46,15 @@ def test_the_newest_presses_are_printed_with_their_totals(database: Path) -> Non
     assert gelgate("history", "--database", database, "--verdict", "fail").out.endswith("5 presses: 5 fail\n")
 
 
+def test_lines_for_a_program_say_what_they_leave_out(database: Path) -> None:
+    """On stderr, for a program reads what is printed. Nothing is left out where a number is asked for, or all fit."""
+    done = gelgate("history", "--database", database, "--json")
+    assert len(done.out.splitlines()) == 20
+    assert done.err == "gelgate: hint: the newest 20 of 25 presses; --count gives more\n"
+    for given in (("--count", "25"), ("--verdict", "fail")):
+        assert gelgate("history", "--database", database, "--json", *given).err == ""
+
+
 def test_a_measured_deviation_is_printed(database: Path) -> None:
     """With its uncertainty, as on the picture of its press; what is not told is left out."""
     with Store(database) as store:
