@@ -5,6 +5,7 @@ Frames that are not processed in time are dropped, and a press in them is missed
 
 import logging
 import shutil
+import sqlite3
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -249,6 +250,7 @@ class Report:
         self.summary = Summary()
         self.clock_guard = ClockGuard(clock)
         self._steps: deque[Act] = deque(maxlen=_MOST_STEPS)
+        self._last_press_ns = store.read("reading the newest press", _read_last_press_ns)
         self._store, self._publisher, self._status, self._acquisition = store, publisher, status, acquisition
         self._free_space, self._clock = free_space, clock
         self._overload = OverloadRule()
@@ -356,15 +358,25 @@ class Report:
         self.summary.pieces.update(ended)
 
     def _note_clock_step(self) -> None:
-        """Write it into the log and the table of acts. Errors: StoreError; then it is an act with a later report."""
-        seconds = self.clock_guard.step()
+        """Write it into the log and the table of acts, also one between the last run and this. Errors: StoreError; then it
+        is an act with a later report."""
+        now_ns, seconds = self._clock.time_ns(), self.clock_guard.step()
+        if seconds is None and now_ns < self._last_press_ns - STEP_NS:
+            seconds = (now_ns - self._last_press_ns) / 1e9
+        self._last_press_ns = 0
         if seconds is not None:
             log.warning("the clock of this machine was set by %+.0f s", seconds)
-            now_ns, step = self._clock.time_ns(), {"seconds": round(seconds, 3)}
+            step = {"seconds": round(seconds, 3)}
             self._steps.append(Act(now_ns, "the gateway", "clock_step", arguments=step, outcome="done"))
         while self._steps:
             self._store.begin_act(self._steps[0], within_s=0)
             self._steps.popleft()
+
+
+def _read_last_press_ns(connection: sqlite3.Connection) -> int:
+    """Read when the newest press of earlier runs was made; 0 where there is none."""
+    row = connection.execute("SELECT time_ns FROM presses ORDER BY number DESC LIMIT 1").fetchone()
+    return int(row[0]) if row else 0
 
 
 def _describe(sink: SinkCounters) -> str:

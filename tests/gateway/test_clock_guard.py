@@ -1,5 +1,7 @@
 """Steps of the wall clock are written down, so that a strange time in the history has its reason."""
 
+from pathlib import Path
+
 import pytest
 from stepped_station import SteppedStation
 
@@ -45,6 +47,22 @@ def test_a_step_while_the_store_refuses_is_an_act_later(
         {"seconds": -3600.0},
         {"seconds": 86400.0},
     ]
+
+
+@pytest.mark.parametrize(("first_s", "then_s", "said"), [(86400.0, 60.0, [-86400]), (0.0, 60.0, [])])
+def test_a_start_before_the_newest_press_is_an_act(
+    first_s: float, then_s: float, said: list[int], config: Path
+) -> None:
+    """A machine whose clock has no battery starts in the past: its presses are out of order in the history."""
+    with SteppedStation(config) as station:
+        station.clock.sleep(first_s)
+        station.play_until(lambda: len(station.reports) == 1)
+    with SteppedStation(config) as station:
+        station.clock.sleep(then_s)
+        station.loop.publish_stats()
+        station.loop.publish_stats()
+        acts = [act for act in station.parts.store.acts() if act.verb == "clock_step"]
+    assert [act.arguments["seconds"] for act in acts] == pytest.approx(said, abs=100)
 
 
 def test_a_clock_beyond_2262_loses_no_press(station: SteppedStation, monkeypatch: pytest.MonkeyPatch) -> None:
