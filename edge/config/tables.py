@@ -99,7 +99,8 @@ class InspectionTable(Table):
         default=(), description="several bundles, one for each position of each part"
     )
     bundle_folder: Path | None = Field(
-        default=None, description="several bundles: every folder with a manifest.json and every .zip in it"
+        default=None,
+        description="several bundles: every folder with a manifest.json or a graph, and every .zip, in it",
     )
     shadows: tuple[Path, ...] = Field(
         default=(),

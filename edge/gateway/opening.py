@@ -16,7 +16,7 @@ from edge.core.ports import Clock, Device, DeviceIdentity
 from edge.extras import find_version
 from edge.gateway.bundle_set import BundleSet, OpenBundle, part_of
 from edge.model.archive import MANIFEST, open_archive
-from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
+from edge.model.bundle import DETECTOR, HEAD, MAX_MANIFEST_BYTES, TRUNK, Bundle
 from edge.model.inspector import Inspector
 from edge.model.manifest_facts import check_revision
 from edge.model.scorer import Scorer
@@ -221,7 +221,8 @@ def explain_first(table: InspectionTable, bundles: BundleSet, selected: PartPosi
 
 
 def _bundles_in(folder: Path) -> Iterator[Path]:
-    """Names that begin with a dot are bundles that are being written."""
+    """Names that begin with a dot are bundles that are being written. A graph without a manifest is one that is being
+    copied: it is a fault, or its part would be missing without a word."""
     try:
         paths = sorted(folder.iterdir())
     except OSError as error:
@@ -229,7 +230,10 @@ def _bundles_in(folder: Path) -> Iterator[Path]:
             f"inspection.bundle_folder: {folder} cannot be read ({error.strerror}); name a folder of bundles"
         ) from error
     for path in paths:
-        if not path.name.startswith(".") and (path.suffix == ".zip" or (path / MANIFEST).exists()):
+        is_bundle = path.suffix == ".zip" or any(
+            (path / name).exists() for name in (MANIFEST, TRUNK, HEAD, DETECTOR)
+        )
+        if is_bundle and not path.name.startswith("."):
             yield path
 
 
