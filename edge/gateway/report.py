@@ -358,8 +358,8 @@ class Report:
         self.summary.pieces.update(ended)
 
     def _note_clock_step(self) -> None:
-        """Write it into the log and the table of acts, also one between the last run and this. Errors: StoreError; then it
-        is an act with a later report."""
+        """Write it into the log and the table of acts, also one between the last run and this. Errors: StoreError; then
+        it is an act with a later report."""
         now_ns, seconds = self._clock.time_ns(), self.clock_guard.step()
         if seconds is None and now_ns < self._last_press_ns - STEP_NS:
             seconds = (now_ns - self._last_press_ns) / 1e9
