@@ -71,7 +71,7 @@ class JsonlSink:
         self._root = root
         self._lock = threading.Lock()
         self.faults: tuple[str, ...] = ()
-        """Why nothing can be written; a full disk has an alarm of its own."""
+        """Why nothing can be written. The alarm `disk` is of the database's disk alone."""
 
     def send(self, message: Message) -> None:
         """Append and flush to disk. Errors: SinkUnavailable when the disk refuses, SinkRejected for invalid JSON."""
@@ -95,7 +95,7 @@ class JsonlSink:
             ) from error
         except OSError as error:
             why = f"folder {self._folder} cannot be written: {error.strerror or error}; free space or change its rights"
-            self.faults = () if error.errno in (errno.ENOSPC, errno.EDQUOT) else (why,)
+            self.faults = (why,)
             raise SinkUnavailable(why) from error
 
     def close(self) -> None:

@@ -72,13 +72,16 @@ def test_a_folder_that_cannot_be_made_is_unavailable(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_leaves_no_half_line(tmp_path: Path) -> None:
-    """A partly written line is removed, so the next line can be read when there is room again."""
+    """A partly written line is removed, so the next line can be read when there is room again. It is the alarm
+    `receiver`: the disk may be another one than that of the database."""
     sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path), STATION)
     sink.send(Message("result", b'{"n":1}'))
-    with room_for(1000), pytest.raises(SinkUnavailable):
+    with room_for(1000), pytest.raises(SinkUnavailable) as refused:
         sink.send(Message("result", json.dumps("x" * 5000).encode()))
+    assert sink.faults == (str(refused.value),)
 
     sink.send(Message("result", b'{"n":2}'))
+    assert sink.faults == ()
     assert [line["payload"] for line in lines(tmp_path)] == [{"n": 1}, {"n": 2}]
 
 
