@@ -93,6 +93,8 @@ def history(
         _verdicts(verdict or []),
         count if output or count or by else PRINTED,
     )
+    if query.since_ns is not None and query.until_ns is not None and query.since_ns >= query.until_ns:
+        raise ConfigError(f"--since {since} is not before --until {until}: no press can fit")
     rows = read_history(path := database_path(config, database), query)
     if by == "shadow":
         _print_shadows(rows)

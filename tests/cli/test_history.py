@@ -99,6 +99,13 @@ def test_a_mistyped_verdict_is_refused(database: Path) -> None:
     assert done.sentence() == "no press has the verdict 'failed'; did you mean 'fail'?"
 
 
+def test_an_end_before_the_beginning_is_refused(database: Path) -> None:
+    """As an empty answer it would look like a day without fails."""
+    done = gelgate("history", "--database", database, "--since", "2026-05-30", "--until", "2026-05-29")
+    assert done.code == 3
+    assert done.sentence() == "--since 2026-05-30 is not before --until 2026-05-29: no press can fit"
+
+
 def test_of_a_mistyped_part_the_known_ones_are_named(database: Path) -> None:
     """As of a verdict: no fail of it would look good."""
     said = gelgate("history", "--database", database, "--part", "Bolt", "--verdict", "fail").out
