@@ -176,6 +176,8 @@ def audit_replay(world: World, station: Station, bundles: Sequence[Path]) -> Ite
             continue
         try:
             press = archive.press(press_id, evidence)
+            for digest in press.objects:
+                archive.read(digest, "what it was made from")
             replayed = judge_again(press, archive, again.inspector(press))
         except ArchiveError as error:  # the archive drops, and may be lost with the power
             own = next(seen for seen in station.seen if seen.press_id == press_id)

@@ -114,8 +114,8 @@ def audit_kept(world: World, station: Station) -> Iterator[str]:
     """A press of the archive has all that it was made from, also what it shares with others; but for what was lost with
     the power (docs/security.md)."""
     folder = station.disk.folder / "gelgate.archive"
-    objects, was_cut = folder / "objects", world.lacks_files_ns > world.clock.now_ns
-    if was_cut or not objects.is_dir() or objects.stat().st_mtime_ns == station.archive_ns:
+    objects = folder / "objects"
+    if world.has_lost_power or not objects.is_dir() or objects.stat().st_mtime_ns == station.archive_ns:
         return
     station.archive_ns = objects.stat().st_mtime_ns
     there = {path.name for path in objects.iterdir()}

@@ -296,7 +296,6 @@ def lose_power(run: "Simulation", rng: random.Random) -> float:
         if unsynced.lose(copy, rng):
             run.reach("writes were lost with the power")
 
-    run.world.may_lack_files(1 << 62)
     run.station.disk.kill_in, run.station.disk.lost = _next_writes(run, rng), lose
     return 0.0
 

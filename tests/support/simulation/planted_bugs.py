@@ -23,6 +23,13 @@ BUGS = (
         "results lack|are of no row|is lost|and a pass is shown",
     ),
     Bug(
+        "a line of the file is not synced",
+        "plugins/sinks/jsonl.py",
+        "                os.fsync(file.fileno())\n            except OSError:\n",
+        "                pass\n            except OSError:\n",
+        "the file: .* results lack|that was sent is lost",
+    ),
+    Bug(
         "deleted before it is acknowledged",
         "edge/messaging/sink_worker.py",
         "        if row.row_id != self._accepted:\n",
@@ -180,6 +187,13 @@ BUGS = (
         "if uses[digest] == 0]",
         "if uses[digest] < 0]",
         "files that no press needs",
+    ),
+    Bug(
+        "what a power cut damaged of shared files stays",
+        "edge/store/press_archive.py",
+        "_holds(path, data) if digest in self._unread else ",
+        "",
+        "is not in the archive",
     ),
     Bug(
         "what was scored ahead is never let go",

@@ -346,6 +346,9 @@ class Simulation:
         if disk.is_full:
             self.reach("killed while the disk was full")
             self.note_uncounted()
+        if disk.lost:
+            self.world.may_lack_files(self.world.clock.now_ns)
+            self.world.has_lost_power = True
         self.world.sensor.disturb("the gateway was killed")
         self.station.bury()
         self.open_again()

@@ -148,6 +148,7 @@ class World:
             self.overview = OverviewCamera.now = OverviewCamera(self.clock, self.hand, PARTS)
         self.lacks_files_ns = 0
         """The archive may lack presses of until then: the power was lost, or the disk was full."""
+        self.has_lost_power = False
         self.new_gel_ns = -S
         """When the gel was replaced last, or was to be learnt again, as the station has confirmed."""
         self.said: list[str] = []
@@ -155,7 +156,7 @@ class World:
         self.pedal = Pedal.now = Pedal(self.clock)
 
     def may_lack_files(self, until_ns: int) -> None:
-        """The archive may lack files of presses until then; of 1 << 62, of shared ones that no later press writes."""
+        """The archive may lack files of presses until then."""
         self.lacks_files_ns = max(self.lacks_files_ns, until_ns)
 
     def add_plc(self, rng: random.Random, ip: str, first_id: int) -> Plc:
