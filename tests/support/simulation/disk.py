@@ -52,9 +52,9 @@ class Disk:
         if event == "sqlite3.connect/handle":
             self._new.append(arguments[0])
         elif event == "open" and arguments[2] & (os.O_WRONLY | os.O_RDWR):
-            self._write_file(arguments[0], "open")
+            self._write_file(event, arguments[0])
         elif event in WRITES:
-            self._write_file(arguments[0], event)
+            self._write_file(event, *arguments[: 2 if event == "os.rename" else 1])
 
     def fill(self, room: int | None) -> None:
         """Leave so many bytes for SQLite, and none for another file; None: room again."""
@@ -97,12 +97,14 @@ class Disk:
         if (word := statement.partition(" ")[0]) in TRANSACTION:
             self._point(word)
 
-    def _write_file(self, path: object, event: str) -> None:
+    def _write_file(self, event: str, path: object, *new: object) -> None:
         if not isinstance(path, str | Path) or not str(path).startswith(str(self.folder)):
             return
         self._point(f"{event} {Path(path).suffix}")
         if self.is_full and event == "open" and not os.path.exists(path):
             raise OSError(28, "No space left on device", str(path))
+        if self.unsynced is not None and event != "os.mkdir":
+            self.unsynced.note_name(event, Path(path), *(Path(str(one)) for one in new))
 
     def _point(self, name: str) -> None:
         self.points += 1

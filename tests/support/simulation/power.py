@@ -24,6 +24,7 @@ from ctypes import (
     cast,
     create_string_buffer,
 )
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -57,15 +58,42 @@ class Methods(Structure):
     )
 
 
+@dataclass(frozen=True)
+class Name:
+    """A change of a name, which a loss of power may take back."""
+
+    event: str
+    path: Path
+    new: Path
+    """The new name of a file that is renamed; else its name."""
+    old: bytes | None
+    """What the new name held before; None for nothing."""
+    losable: dict[int, list[bytes]]
+    """The sectors of that which may be lost."""
+
+    def undo(self, folder: Path, copy: Path) -> None:
+        """Take it back in a copy of the folder."""
+        path, new = (copy / one.relative_to(folder) for one in (self.path, self.new))
+        if self.event == "os.rename":
+            new.replace(path)
+        elif self.event == "open":
+            path.unlink(missing_ok=True)
+        if self.old is not None:
+            new.write_bytes(self.old)
+
+
 class Unsynced:
     """What a loss of power may take from the files of a folder."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.sectors: dict[str, dict[int, bytes]] = {}
-        """Of SQLite's files: the bytes before each sector that was written since the last sync."""
+        self.sectors: dict[str, dict[int, list[bytes]]] = {}
+        """Of SQLite's files: what each sector that was written since the last sync held before, oldest first."""
         self.synced: dict[int, bytes] = {}
         """Of other files, by inode: the content at the last sync."""
+        self.names: list[Name] = []
+        """Changes of names that are not on the disk yet, in order."""
+        self._sizes: dict[int, int] = {}  # by inode, at the last sync
         self.at_sync: Callable[[], object] | None = None
         """Called at each sync: it takes its time."""
         self.at_sleep: Callable[[float], object] = time.sleep
@@ -83,18 +111,44 @@ class Unsynced:
             share = rng.choice((0.0, 0.5, 1.0))
             if path.name.endswith("-shm"):
                 twin.unlink(missing_ok=True)
-            elif path.is_file() and path.name.startswith("gelgate.db") and path.suffix != ".counts":
-                lost += _revert(twin, self.sectors.get(str(path), {}), share, rng)
             elif path.is_file():
-                now, then = path.read_bytes(), self.synced.get(path.stat().st_ino, b"")
-                lost += _revert(twin, dict(_changed(then, now)), share, rng)
-        return lost
+                lost += _revert(twin, self.find_losable(path), share, rng)
+        kept, share = rng.randint(0, len(self.names)), rng.choice((0.0, 0.5, 1.0))
+        for name in reversed(self.names[kept:]):
+            name.undo(self.folder, copy)
+            if name.old is not None:
+                _revert(copy / name.new.relative_to(self.folder), name.losable, share, rng)
+        return lost + len(self.names) - kept
+
+    def find_losable(self, path: Path) -> dict[int, list[bytes]]:
+        """Find the sectors of a file that a loss of power may take, each with what it held before, oldest first."""
+        if path.name.startswith("gelgate.db") and path.suffix != ".counts":
+            return dict(self.sectors.get(str(path), {}))
+        now, then = path.read_bytes(), self.synced.get(path.stat().st_ino, b"")
+        return dict(_changed(then, now))
 
     def start_again(self) -> None:
         """The folder is another one, and all of it is on the disk."""
         self.sectors.clear()
-        files = (path for path in self.folder.rglob("*") if path.is_file())
+        self.names.clear()
+        files = [path for path in self.folder.rglob("*") if path.is_file()]
         self.synced = {path.stat().st_ino: path.read_bytes() for path in files}
+        self._sizes = {path.stat().st_ino: path.stat().st_size for path in files}
+
+    def note_name(self, event: str, path: Path, new: Path | None = None) -> None:
+        """Take a change of a name that comes now: a file is made, removed, or gets a new name."""
+        new, is_there = new or path, path.exists()
+        if is_there is (event == "open") or not path.is_relative_to(self.folder):
+            return
+        old = new.read_bytes() if new.is_file() else None
+        self.names.append(Name(event, path, new, old, self.find_losable(new) if old is not None else {}))
+
+    def keep_names(self, path: str) -> None:
+        """Take that a file is synced: with its new length the file system writes all names that were changed before."""
+        status = os.stat(path)
+        if self._sizes.get(status.st_ino) != status.st_size:
+            self._sizes[status.st_ino] = status.st_size
+            self.names.clear()
 
     def note_sync(self, descriptor: int) -> None:
         """Take the content of a file that was synced."""
@@ -102,22 +156,30 @@ class Unsynced:
         if path.startswith(str(self.folder)) and os.path.isfile(path):
             with open(path, "rb") as file:
                 self.synced[os.fstat(descriptor).st_ino] = file.read()
+            self.keep_names(path)
 
 
-def _changed(then: bytes, now: bytes) -> Iterator[tuple[int, bytes]]:
+def _changed(then: bytes, now: bytes) -> Iterator[tuple[int, list[bytes]]]:
     for start in range(0, len(now), SECTOR):
         if then[start : start + SECTOR] != now[start : start + SECTOR]:
-            yield start, then[start : start + SECTOR]
+            yield start, [then[start : start + SECTOR]]
 
 
-def _revert(path: Path, before: dict[int, bytes], share: float, rng: random.Random) -> int:
-    chosen = [start for start in sorted(before) if rng.random() < share]
-    if chosen and path.exists():
+def _revert(path: Path, before: dict[int, list[bytes]], share: float, rng: random.Random) -> int:
+    """Put back what sectors held at some time since the last sync. An end that was lost is zeros, or is not there."""
+    drawn = {start: rng.random() for start in sorted(before)}
+    drawn = {start: draw / share for start, draw in drawn.items() if draw < share}
+    lost = {start: before[start][int(draw * len(before[start]))] for start, draw in drawn.items()}
+    if lost and path.exists():
+        size = end = path.stat().st_size
         with path.open("r+b") as file:
-            for start in chosen:
+            for start, content in lost.items():
                 file.seek(start)
-                file.write(before[start].ljust(SECTOR, b"\0"))
-    return len(chosen)
+                file.write(content.ljust(SECTOR, b"\0"))
+            while end and not any(lost.get((end - 1) // SECTOR * SECTOR, b"there")):
+                end = (end - 1) // SECTOR * SECTOR
+            file.truncate(end if drawn[max(drawn)] < 0.5 else size)
+    return len(lost)
 
 
 def find_library() -> str:
@@ -214,10 +276,10 @@ def _listening_methods(found: Unsynced, names: dict[int, str], address: int, kep
                 return FULL
         sectors = found.sectors.setdefault(names[file], {})
         for sector in range(start // SECTOR * SECTOR, start + size, SECTOR):
-            if sector not in sectors:
-                before = create_string_buffer(SECTOR)  # zeros where the file is shorter
-                really_read(file, byref(before), SECTOR, sector)
-                sectors[sector] = before.raw
+            before = create_string_buffer(SECTOR)  # zeros where the file is shorter
+            really_read(file, byref(before), SECTOR, sector)
+            if before.raw not in (versions := sectors.setdefault(sector, [])):
+                versions.append(before.raw)
         return int(really_write(file, data, size, start))
 
     def sync(file: int, flags: int) -> int:
@@ -226,6 +288,7 @@ def _listening_methods(found: Unsynced, names: dict[int, str], address: int, kep
         if found.fails is not None and found.fails("sync"):
             return IO_ERROR
         found.sectors.pop(names[file], None)
+        found.keep_names(names[file])
         return int(really_sync(file, flags))
 
     def close(file: int) -> int:
