@@ -94,7 +94,7 @@ class Snapshots(PressStage):
             self._bytes -= len(self._ring.popleft().payload)
 
     def request(self, before_s: float, after_s: float) -> Path:
-        """Write the frames from before to after the newest one; returns the folder of the recording, which is there
+        """Write the frames from before the newest one to after now; returns the folder of the recording, which is there
         when it is complete. Errors: ValueError while there are no frames, or another one is being made."""
         if (low := self._find_low_space()) is not None:
             raise ValueError(f"no snapshot is written: {low}")
@@ -102,10 +102,13 @@ class Snapshots(PressStage):
             raise ValueError("no frame has arrived from a sensor yet; try again later")
         if self._wish is not None or self.worker.is_busy:
             raise ValueError("another snapshot is being written; try again in some seconds")
-        newest_ns, now = self._ring[-1].timestamp_ns, datetime.fromtimestamp(self._clock.time_ns() / 1e9, UTC)
+        newest, now = self._ring[-1], datetime.fromtimestamp(self._clock.time_ns() / 1e9, UTC)
         folder = self._folder / f"{now:%Y%m%dT%H%M%S.%fZ}"
-        first_ns, last_ns = newest_ns - round(before_s * 1e9), newest_ns + round(after_s * 1e9)
-        due_ns = self._clock.monotonic_ns() + round((after_s + PATIENCE_S) * 1e9)
+        now_ns = self._clock.monotonic_ns()
+        # The sensor may have been away for long; a frame that is made on demand has the time of a recording.
+        asked_ns = newest.timestamp_ns if newest.is_on_demand else max(newest.timestamp_ns, now_ns)
+        first_ns, last_ns = newest.timestamp_ns - round(before_s * 1e9), asked_ns + round(after_s * 1e9)
+        due_ns = now_ns + round((after_s + PATIENCE_S) * 1e9)
         self._wish = _Wish(folder, first_ns, last_ns, due_ns)
         return folder
 
@@ -166,7 +169,9 @@ class Snapshots(PressStage):
         self.worker.close()
 
     def _write(self, folder: Path, frames: Sequence[CameraFrame], header: RecordingHeader) -> None:
-        """Room first; a name without a dot in front is a complete recording. Errors: StoreError, OSError."""
+        """Room first; a name without a dot in front is a complete recording. Errors: GelgateError, OSError."""
+        if not frames:
+            raise GelgateError("no frame came in its time")
         folder.parent.mkdir(exist_ok=True)
         for left in folder.parent.glob(".*"):  # of a process that was killed
             shutil.rmtree(left)

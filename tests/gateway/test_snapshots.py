@@ -91,6 +91,27 @@ def test_a_stream_that_stops_does_not_hold_back_what_is_there(tmp_path: Path) ->
     assert len(Recording.open(folder)) == 1
 
 
+@pytest.mark.parametrize(("after_s", "numbers"), [(0.3, [300, 301, 302]), (0, [])])
+def test_what_comes_after_a_request_without_a_sensor_is_written(
+    tmp_path: Path, after_s: float, numbers: list[int]
+) -> None:
+    """Its frames ended 20 s before the request, and leave the memory when others come; of none nothing is written."""
+    clock = ManualClock()
+    found = made(tmp_path, clock)
+    found.take(frame(99))
+    clock.sleep(28.95)
+    folder = found.request(0, after_s)
+    for number in range(300, 310):
+        found.take(frame(number))
+    act = written(found)
+
+    assert (act.outcome, folder.exists()) == (("done", True) if numbers else ("failed", False))
+    if numbers:
+        assert [one.frame.timestamp_ns // 10**8 for one in Recording.open(folder)] == numbers
+    else:
+        assert "no frame came" in (act.sentence or "")
+
+
 def test_memory_is_bounded_by_time_and_by_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Large frames leave early, small ones after twenty seconds."""
     monkeypatch.setattr(snapshots, "RING_BYTES", 10_000)
