@@ -69,8 +69,12 @@ def audit_snapshots(world: World, station: Station) -> Iterator[str]:
         except (GelgateError, OSError) as error:
             yield f"the snapshot {path.name} is not complete: {error}"
             continue
-        spans = [asked.seconds for asked in station.snapshots if Path(asked.folder).name == path.name]
-        if not times or times != sorted(times) or times[-1] - times[0] > max(spans, default=0.0) * S:
+        ends = [
+            asked.at_ns + asked.seconds * S
+            for asked in station.snapshots
+            if Path(asked.folder).name == path.name
+        ]
+        if not times or times != sorted(times) or times[-1] > max(ends, default=0):
             yield f"the snapshot {path.name} has {len(times)} frames, not those of its time"
 
 
