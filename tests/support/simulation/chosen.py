@@ -29,6 +29,7 @@ SNAPSHOT, REFERENCE, OVERVIEW = "snapshot", "reference_press", "overview"
 MEETINGS = (
     ("silence",),
     ("blind",),
+    ("damage",),
     ("freeze", "hold back"),
     ("kill",),
     ("fill disk", "kill", "hang up"),
@@ -68,8 +69,10 @@ WORK = (
     ("command", "", ""),
     ("automatic", "opcua", "free"),
     ("automatic", "modbus", "free"),
+    *[("automatic", "", "")] * 3,
 )
-"""Trigger, PLC and order of a piece: each seed has the next."""
+"""Trigger, PLC and order of a piece: each seed has the next. With neither a master piece may be pressed, or the code on
+a part select."""
 
 
 @dataclass(frozen=True)
@@ -146,12 +149,13 @@ class Chosen:
             rates |= dict.fromkeys(("hang up", "stop"), 4.0)
         if rng.random() < 0.2:
             rates["hang"] = 4.0
-        features = tuple(name for name in (SNAPSHOT, REFERENCE, OVERVIEW) if rng.random() < 0.4)
+        features = tuple(name for name in (SNAPSHOT, REFERENCE, OVERVIEW) if rng.random() < 0.5)
         if plc or piece or trigger == "command":  # a person asks for a master piece, and the code selects
             features = tuple(name for name in features if name == SNAPSHOT)
         chosen = replace(chosen, stamps_late=rng.random() < 0.5, features=features)
         rates |= {"say": 4.0, **dict.fromkeys(features, 4.0)}
         own = random.Random(f"{seed} chosen later")
         rates |= {name: own.choice((1.0, 4.0)) for name in LATER if name in names and own.random() < 0.15}
-        disturbed = {"second plc": 1.0, **rates, "plc": 4.0}
+        rates.setdefault("hang up", 1.0)
+        disturbed = {"second plc": 1.0, **rates, "plc": 6.0}
         return replace(chosen, rates=disturbed) if chosen.plc and "plc" in names else chosen
