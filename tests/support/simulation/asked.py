@@ -41,14 +41,17 @@ def say_of_press(run: "Simulation", rng: random.Random) -> float:
     press_id, what = rng.choice(known)
     word = "good" if what == "sound" else "damaged"
     is_slip = word == "good" and rng.random() < 0.3
-    run.station.send_request(
-        "confirm_press", {"press_id": press_id, "verdict": "damaged" if is_slip else word}, SECRET
-    )
+    given = {"press_id": press_id, "verdict": "damaged" if is_slip else word}
+    transaction = run.station.send_request("confirm_press", given, SECRET)
     run.reach("a person took a sound part for damaged" if is_slip else f"a person called a part {word}")
     run.note(f"a person says of press {press_id}: {'damaged, and is wrong' if is_slip else word}")
     if is_slip:
-        given = {"press_id": press_id, "verdict": "good"}
-        run.later(rng.choice((4, 12)), lambda: run.station.send_request("confirm_press", given, SECRET))
+        right = {**given, "verdict": "good"}
+        run.later(rng.choice((4, 12)), lambda: run.station.send_request("confirm_press", right, SECRET))
+    elif rng.random() < 0.2:  # and another word, as if it were the same request: it is refused
+        other = {**given, "verdict": "cannot_tell"}
+        run.later(0.5, lambda: run.station.send_request("confirm_press", other, SECRET, transaction))
+        run.reach("two requests had one transaction")
     return 0.0
 
 

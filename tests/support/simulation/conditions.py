@@ -36,6 +36,7 @@ SOMETIMES = (
     "a snapshot was asked for",
     "a snapshot was written",
     "a shadow was refused",
+    "two requests had one transaction",
     *(f"overview {mood}" for mood in ("unplugged", "silent", "frozen", "broken")),
     "the code on a part selected its bundle",
     "a press was refused, for the overview camera saw nothing",
