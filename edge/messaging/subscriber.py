@@ -14,7 +14,7 @@ from typing import Any, Final, Self
 from edge.clock import local_time
 from edge.core.errors import SinkUnavailable
 from edge.core.imaging.image_bytes import kind as picture_kind
-from edge.core.printable import score_texts
+from edge.core.printable import score_texts, write_count
 from edge.core.sink_context import TOPIC_VERSION
 from edge.messaging.mqtt_broker import Broker, Received, read_password, tls_context
 from edge.messaging.mqtt_connection import Connection
@@ -94,6 +94,7 @@ def watch(
     """
     end = _End.after(timeout_s)
     known: OrderedDict[str, None] = OrderedDict()
+    newest: dict[str, int] = {}
     wanted, awaited = count, None
     for message in _receive(broker, topic_filter, end, tell):
         seen = _interpret(message, save, tell)
@@ -105,6 +106,7 @@ def watch(
             known[seen.content["press_id"]] = None
             if len(known) > REMEMBERED:
                 known.popitem(last=False)
+            _tell_missing(seen, newest, tell)
         yield seen
         if seen.kind == "heatmap" and seen.content["press_id"] == awaited:
             return
@@ -115,6 +117,19 @@ def watch(
             if wanted == 0:
                 awaited = seen.content["press_id"]
                 end.not_after(time.monotonic() + LAST_PICTURE_S)
+
+
+def _tell_missing(seen: Seen, newest: dict[str, int], tell: Callable[[str], None]) -> None:
+    """Tell which results of the station have not come. newest: the highest number heard of each station, changed."""
+    number, last = seen.content.get("sequence"), newest.get(seen.station)
+    if not isinstance(number, int) or (last is None and len(newest) >= REMEMBERED):
+        return
+    if last is not None and number > last + 1:
+        missing = write_count(number - last - 1, "result")
+        tell(
+            f"{seen.station}: {missing} between {last} and {number} did not come here; its `gelgate history` has them"
+        )
+    newest[seen.station] = max(number, last or number)
 
 
 def receive(

@@ -130,6 +130,24 @@ def test_the_latest_presses_are_remembered(monkeypatch: pytest.MonkeyPatch) -> N
     assert given == [IDS[n] for n in (0, 1, 2, 0)]
 
 
+def test_results_that_did_not_come_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As after a connection that was lost: a station numbers its results. What comes late, again, or of a station that
+    gives no number is no gap."""
+    numbers = [7, 8, 8, 10, 9, 10, 14, None, True, "x", 15]
+    ids = [f"01ARZ3NDEKTSV4RRFFQ69G5F{n:02}" for n in range(len(numbers))]
+    heard = [
+        Received(f"{ROOT}/result", result(0, press_id=one, sequence=n), 1, retain=False)
+        for one, n in zip(ids, numbers, strict=True)
+    ]
+    told = list[str]()
+    monkeypatch.setattr("edge.messaging.subscriber._receive", lambda *arguments: iter(heard))
+    assert len(list(watch(Broker("", 0, ""), "", tell=told.append))) == len(numbers)
+    assert [sentence.partition(": ")[2] for sentence in told] == [
+        "1 result between 8 and 10 did not come here; its `gelgate history` has them",
+        "3 results between 10 and 14 did not come here; its `gelgate history` has them",
+    ]
+
+
 def test_what_cannot_be_read_is_told_and_left_out(broker: LocalBroker) -> None:
     """Anybody in the plant may publish garbage: it ends nothing. A cleared alarm is no news."""
     bad = [
