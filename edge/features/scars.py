@@ -7,10 +7,10 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.contact.events import Event, Findings, PressSettled, ReferenceCorrected
+from edge.core.contact.events import Event, Findings, PressBegan, PressSettled, ReferenceCorrected
 from edge.core.contact.press_detector import Look
 from edge.core.contact.reference import View
-from edge.core.contact.relief import reach
+from edge.core.contact.relief import reach_beside_marks
 from edge.core.gel_scars.free_change import FreeViews
 from edge.core.gel_scars.gel_scars import GelScars, Judged, Repeated
 from edge.core.gel_scars.press import ScoredPress, measure_moves, without_marks
@@ -73,7 +73,10 @@ class ScarWatch(PressStage):
         self._left = None
 
     def see(self, event: Event) -> None:
-        """Forget what was found with a first picture of the gel that proved to be wrong."""
+        """Look at the free gel as a press begins. Forget what was found with a first picture that proved wrong."""
+        if isinstance(event, PressBegan):
+            self._scars.is_fresh = self._free.is_fresh
+            self._scars.see_free(self._free.mean() if self._is_left_known else None, self._left)
         if isinstance(event, ReferenceCorrected):
             self._folder.forget(self._serial, self._gel_id, "scars")
             self._read()
@@ -140,13 +143,30 @@ class ScarWatch(PressStage):
         press = _press_of_rules(inspection, inspector, found)
         if press is None:
             return inspection
-        if not (can_mask := inspection.is_of_place):
-            press = replace(press, reach=None)
+        can_mask, is_above = inspection.is_of_place, (press.score_map > press.limit).any()
+        if is_above:  # no other press is asked for it
+            place = press.region, press.size, press.mm_per_pixel
+            press = replace(press, moved_mm=measure_moves(inspection.registered, *place))
+        if can_mask and (is_above or self._scars.has_specks):
+            press = replace(press, reach=self._reach(press, inspection, inspector, found, free))
         is_masking = self._is_masking and can_mask
         judged = self._scars.judge(press, free, left, is_masking=is_masking)
         self._mark = None if judged.repeated is None else _repeated(judged.repeated)
         self._unsaved = _KEPT_EVERY if judged.is_new else self._unsaved + 1
         return mask_scars(inspection, self._findings(inspection, judged), inspector.bundle)
+
+    def _reach(
+        self, press: ScoredPress, inspection: Press, inspector: Inspector, found: Findings, free: View | None
+    ) -> NDArray[np.bool_] | None:
+        """Return where in the view the part is or should be; None where the second is not known. free: the gel just
+        before."""
+        if inspector.expected is None:
+            return None
+        placed, usual = inspection.registered, inspector.expected.astype(np.float32)
+        here = usual if placed is None else warp(usual, placed.pose.inverse())
+        before = found.free if free is None else free
+        reached = reach_beside_marks(found.mask, found.relief, found.level, before, self._scars.near_marks)
+        return reached | (press.in_view(here) > 0)
 
     def _save(self) -> None:
         if self._unsaved >= _KEPT_EVERY and self._scars.record.planes.any():
@@ -213,7 +233,7 @@ def _press_of_rules(inspection: Press, inspector: Inspector, found: Findings) ->
         return None
     bundle = inspector.bundle
     size, region = bundle.profile.size, bundle.region
-    press = ScoredPress(
+    return ScoredPress(
         inspection.score_map,
         verdict.threshold - (verdict.tolerance or 0.0),
         region,
@@ -223,18 +243,3 @@ def _press_of_rules(inspection: Press, inspector: Inspector, found: Findings) ->
         None if placed is None else placed.unseen_in_press,
         without=lambda change: inspector.score_map(without_marks(rgb, change, size, region)),
     )
-    if not (press.score_map > press.limit).any():  # what follows is asked of places above the limit alone
-        return press
-    moved_mm = measure_moves(placed, region, size, press.mm_per_pixel)
-    return replace(press, moved_mm=moved_mm, reach=_reach(press, inspection, inspector, found))
-
-
-def _reach(
-    press: ScoredPress, inspection: Press, inspector: Inspector, found: Findings
-) -> NDArray[np.bool_] | None:
-    """Return where in the view the part is or should be; None where the second is not known."""
-    if inspector.expected is None:
-        return None
-    placed, usual = inspection.registered, inspector.expected.astype(np.float32)
-    here = usual if placed is None else warp(usual, placed.pose.inverse())
-    return reach(found.mask, found.relief) | (press.in_view(here) > 0)

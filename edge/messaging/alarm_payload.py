@@ -148,7 +148,7 @@ ALARMS: Final[Mapping[str, Alarm]] = {
     "gel_mark": Alarm(
         "wipe the gel at that place and press a part that is known to be good; if the alarm stays, change "
         "the gel",
-        title="One place of the gel fails again and again",
+        title="One place of the gel stands out again and again",
     ),
     "drift": Alarm(
         "the text names what has shifted, since when, and what to check; acknowledge it where that is right: the chart "

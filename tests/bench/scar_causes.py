@@ -241,7 +241,7 @@ class Run:
         self.station, self.line, self.gel = station, station.line, gel
         self._rng = np.random.default_rng([station.line.seed, gel])
         self._scars: list[Scar] = []
-        self._record = GelScars(first=station.first)
+        self._record = self._mount()
         self._series: list[Defect] = []
 
     def play(self) -> Iterator[tuple[str, Cause]]:
@@ -263,8 +263,13 @@ class Run:
                     yield from [] if truth is None else [(truth, judged.blame.cause)]
                 if judged.blind_share > MOST_BLIND:  # the station asks for a new gel
                     self._scars.clear()
-                    self._record = GelScars(first=self.station.first)
+                    self._record = self._mount()
             before, left = imprint, as_view(rgb) - free
+
+    def _mount(self) -> GelScars:
+        scars = GelScars(first=self.station.first)
+        scars.is_fresh = self.line.lift is BRIEF
+        return scars
 
     def _find_truth(
         self, judged: Judged, piece: int, age: int, defect: Defect | None, imprint: F32, shares: Shares

@@ -1,6 +1,9 @@
 """A speck on the gel beside the part, seen by a line that lifts for 0.3 s: it fails nothing, and is said. What the part
 lacks, or has beside it, fails."""
 
+import re
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -75,3 +78,38 @@ def test_a_mark_in_five_presses_in_a_row_is_an_alarm_that_says_where(played: Pla
     assert all("13.4 mm from the left and 3.2 mm from the top" in str(alarm) for alarm in alarms[fifth:-1])
     assert "where the part does not reach" in str(alarms[fifth])
     assert alarms[-1] is None
+
+
+@pytest.mark.parametrize("threshold", [0.3, 0.1])
+def test_a_strong_speck_is_said_in_five_presses_and_ends_where_it_is_wiped_off(
+    tmp_path: Path, threshold: float
+) -> None:
+    """Whether presses exceed the limit by it or not: it shows as much as something that touches, and no press is
+    failed by it, for it was there just before. The picture shows the place at half its light. A missing pin fails
+    meanwhile."""
+    wiped, no_pin = SPECK_FROM + 6, SPECK_FROM + 5
+    nominal = scarred_recording(
+        tmp_path / "nominal", 6, marks={}, motion=BRIEF, on_part=lambda frame, press: with_pin(frame, SOUND)
+    )
+    film = scarred_recording(
+        tmp_path / "film",
+        wiped + 2,
+        marks={SPECK_FROM: [SPECK]},
+        wiped=wiped,
+        motion=BRIEF,
+        levels=30,
+        on_part=lambda frame, press: with_pin(frame, NO_PIN if press == no_pin else SOUND),
+    )
+    bundle, alarms = small_bundle(tmp_path / "bundle", nominal, threshold=threshold), []
+    with SteppedStation(station_config(tmp_path / "station", film, bundle)) as station:
+        for number in range(1, wiped + 3):
+            station.play_until(lambda number=number: len(station.reports) == number)  # type: ignore[misc]
+            alarms.append(station.alarm("gel_mark"))
+
+    fifth = SPECK_FROM + 4
+    assert alarms[:fifth] + alarms[wiped:] == [None] * (fifth + 2)
+    where = re.compile(r"same mark 13\.4 mm from the left and 3\.[23] mm from the top")
+    assert all(where.search(str(alarm)) for alarm in alarms[fifth:wiped])
+    assert station.verdicts == [Kind.PASS] * no_pin + [Kind.FAIL] + [Kind.PASS] * 2
+    shown = [result.unmasked_score is not None for result in station.results]
+    assert shown == [SPECK_FROM + 4 * (threshold > 0.2) <= number < wiped for number in range(wiped + 2)]

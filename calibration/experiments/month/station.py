@@ -188,6 +188,8 @@ class DayStation:
             if word == "pass" or attempt == _MOST_PRESSES - 1 or not self._is_asked(report, press):
                 break
             counts.pressed_again += 1
+        if word == "pass" and "gel_mark" in self._raised:  # nothing fails by it, and the page says to wipe
+            self.wipe(press)
         counts.pieces += 1
         counts.unsure += word == "unsure"
         counts.no_verdict += word not in ("pass", "fail", "unsure")

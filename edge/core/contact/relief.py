@@ -20,7 +20,15 @@ from edge.core.contact.settings import ContactSettings
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.region import Region
 
-__all__ = ["Relief", "ReliefOfReference", "find_contact", "find_expected_reach", "reach", "with_relief"]
+__all__ = [
+    "Relief",
+    "ReliefOfReference",
+    "find_contact",
+    "find_expected_reach",
+    "reach",
+    "reach_beside_marks",
+    "with_relief",
+]
 
 # Half-size pixels of 0.23 mm on a Mini: structure finer than 7 of them passes, and its energy is taken over 5.
 _BAND_PX = 7
@@ -134,6 +142,19 @@ def reach(touched: Mask, relief: Relief) -> Mask:
     clear = cv2.morphologyEx(relief.mask.astype(np.uint8), cv2.MORPH_OPEN, _CLEAR)
     bent = cv2.resize(clear, (columns, rows), interpolation=cv2.INTER_NEAREST)
     return np.asarray(np.maximum(cv2.dilate(touched.astype(np.uint8), _AROUND), bent) > 0)
+
+
+def reach_beside_marks(touched: Mask, relief: Relief, level: View, free: View, near: Mask) -> Mask:
+    """Find the reach as `reach` does; near the marks of the free gel by what the press adds to the gel as it was just
+    before, which has them too.
+
+    level, free: the press and the gel before it, float32 (h, w, 3). near: around the marks, bool (h, w).
+    """
+    if not near.any():
+        return reach(touched, relief)
+    added = level - free
+    relief_added = relief.reference.of(added, ContactSettings.light_levels)
+    return np.asarray(np.where(near, reach(touched_mask(added), relief_added), reach(touched, relief)))
 
 
 def find_expected_reach(

@@ -10,7 +10,7 @@ from edge.core.gel_scars.record import Repeats
 from edge.core.sentence import Sentence
 from edge.core.verdict import Blame, Cause
 
-__all__ = ["SEVERAL", "blame", "is_explained", "remaining", "together"]
+__all__ = ["SEVERAL", "blame", "doubt", "is_explained", "remaining", "together"]
 
 # Of how far a place is above the limit, this share at most is left where a mark of the gel causes it, and more than the
 # second one where the part does, when the press is scored without the marks.
@@ -40,6 +40,14 @@ def remaining(excess: F32, without_marks: F32) -> float:
 def is_explained(left: float | None) -> bool:
     """Tell whether the marks alone give the place. left: of `remaining`."""
     return left is not None and left <= _OF_THE_GEL
+
+
+def doubt(left: float, at_least: float) -> float:
+    """Return the share that counts as left without the marks where some of these may be the rest of the last press.
+
+    left: without the marks that are none. at_least: without all. What these alone explain is unsure.
+    """
+    return min(left, max(at_least, _OF_THE_PART))
 
 
 def blame(left: float | None, repeats: Repeats, wide_mm: float) -> Blame:

@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 
 from edge.core.arrays import F32, Mask
-from edge.core.contact.mask import largest_colour
+from edge.core.contact.mask import largest_colour, squared_distance
 from edge.core.contact.reference import View, fit_levels
 from edge.core.contact.table import State
 
-__all__ = ["FreeViews", "Marks", "marks"]
+__all__ = ["FreeViews", "Marks", "find_clear_marks", "marks"]
 
 # Lengths are in pixels of the 160x120 view, 0.127 mm each on a GelSight Mini, and scale with the view.
 _PIXELS_ACROSS = 160
@@ -27,12 +27,23 @@ _NOISE_SIGMA = 0.7
 _MOST_LEFT = 0.3
 # Light is not linear in the slope: of what the last press has left, this share may remain when it is taken out.
 _LEFT_DOUBT = 0.3
+# Just after a release more is left, and less alike of shallow and of deep places: all of it may be what is seen.
+_FRESH_DOUBT = 1.0
 # A marker dot or a dark rim moves by a fraction of a pixel between presses: what such a move would change is no mark.
 _MOVES_PX = 0.25
 # A change of this many levels is a mark, or of this many times the median change where the pictures are noisier. Chosen
 # on simulated gels (docs/gel.md): every scar that makes a sound part fail has more.
 _MARK_LEVELS = 1.2
 _MARK_TIMES = 5.0
+# A person is told of a mark that no press exceeds by only where it is plain to see, also in a single frame: finer than
+# 0.3 mm (sigma), as grains, hairs and cuts are and stains of a worn coat are not, and of so many levels beside so many
+# times the doubt that the gel has moved. Of simulated gels up to twice their life, of public pictures of one gel at two
+# times, of presses on four gels and of a film of a marker gel none shows one at one place five times. A hair, or a
+# grain 0.2 mm across and 0.05 mm high, shows each time.
+_CLEAR_SIGMA = 2.5
+_CLEAR_LEVELS = 2.2
+_CLEAR_TIMES = 4.0
+_CLEAR_DOUBTS = 3.0
 # A mark is wider than what is clearly seen of it: its change counts up to this distance, and fades there over this many
 # pixels (sigma), because a sharp end would be an edge in the picture.
 _AROUND_PX = 3
@@ -48,33 +59,60 @@ class Marks:
     change: View
 
 
-def marks(first: View, now: View, left: View | None = None) -> Marks | None:
+def marks(first: View, now: View, left: View | None = None, *, is_fresh: bool = False) -> Marks | None:
     """Find the marks of the free gel; None where it has changed all over: a moved camera, or another gel.
 
     first, now: pictures of the free gel, means of several frames. left: what the press before added to it, whose rest
-    may still be there. All float32 (h, w, 3). Errors: ValueError for two shapes.
+    may still be there. All float32 (h, w, 3). is_fresh: `now` is of a moment after the release. Errors: ValueError for
+    two shapes.
     """
+    detail, doubtful = _compare(first, now, left, _FRESH_DOUBT if is_fresh else _LEFT_DOUBT)
+    levels = np.maximum(largest_colour(np.abs(_smooth(detail, _NOISE_SIGMA))) - doubtful, 0)
+    places = _clear(levels, float(np.median(levels)), _MARK_LEVELS, _MARK_TIMES)
+    return None if places is None else Marks(places, _at(places, detail))
+
+
+def find_clear_marks(first: View, now: View, left: View | None = None) -> Mask | None:
+    """Find the marks that are plain to see, bool (h, w), also in a picture of one frame; None as of `marks`. What lay
+    on the gel in its first picture and is gone is none."""
+    detail, doubtful = _compare(first, now, left, _LEFT_DOUBT)
+    seen = largest_colour(np.abs(_smooth(detail, _NOISE_SIGMA) - _smooth(detail, _CLEAR_SIGMA)))
+    levels = seen - np.float32(_CLEAR_DOUBTS) * doubtful
+    places = _clear(levels, float(np.median(seen)), _CLEAR_LEVELS, _CLEAR_TIMES)
+    if places is None or not places.any():
+        return places
+    before = _detail(first)
+    return places & (_energy(before + detail) > _energy(before))
+
+
+def _smooth(view: View, sigma: float) -> View:
+    return np.asarray(cv2.GaussianBlur(view, (0, 0), sigma * _scale(view)), np.float32)
+
+
+def _energy(detail: View) -> F32:
+    """Measure how much structure lies around each pixel, levels squared, float32 (h, w)."""
+    return np.asarray(cv2.boxFilter(squared_distance(detail), -1, (5, 5)), np.float32)
+
+
+def _compare(first: View, now: View, left: View | None, left_doubt: float) -> tuple[View, F32]:
+    """Return what has changed, signed levels, float32 (h, w, 3), and how much of it may be no mark, float32 (h, w)."""
     if first.shape != now.shape or first.ndim != 3 or first.shape[2] != 3:
         raise ValueError(
             f"two free-gel pictures have one shape (h, w, 3), found {first.shape} and {now.shape}"
         )
-    detail = _detail(fit_levels(now, first).applied(now) - first)
-    doubtful = _apparent_change(first)
-    if left is not None:
-        rest = _find_rest(detail, _detail(left))
-        detail = detail - rest
-        doubtful = doubtful + np.float32(_LEFT_DOUBT) * _widest(rest, 1)
-    seen = largest_colour(np.abs(cv2.GaussianBlur(detail, (0, 0), _NOISE_SIGMA * _scale(first))))
-    places = _clear(np.maximum(seen - doubtful, 0))
-    return None if places is None else Marks(places, _at(places, detail))
+    detail, doubtful = _detail(fit_levels(now, first).applied(now) - first), _apparent_change(first)
+    if left is None:
+        return detail, doubtful
+    rest = _find_rest(detail, _detail(left))
+    return detail - rest, doubtful + np.float32(left_doubt) * _widest(rest, 1)
 
 
-def _clear(levels: F32) -> Mask | None:
-    """Find where a change is a mark, bool (h, w); single pixels are noise. None where all of it has changed."""
-    typical = float(np.median(levels))
-    if typical > _MARK_LEVELS:
+def _clear(levels: F32, typical: float, least: float, times: float) -> Mask | None:
+    """Find where a change is a mark, bool (h, w); single pixels are noise. None where all of it has changed. A mark has
+    `least` levels, and so many times the change that is `typical`."""
+    if typical > least:
         return None
-    far = (levels > max(_MARK_LEVELS, _MARK_TIMES * typical)).astype(np.uint8)
+    far = (levels > max(least, times * typical)).astype(np.uint8)
     neighbours = cv2.boxFilter(far, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     return np.asarray((far > 0) & (neighbours >= 2))
 
@@ -129,6 +167,8 @@ def _scale(view: View) -> float:
 
 # About this many views are averaged: a second of an idle station, whose last ones count most.
 _AVERAGED = 10
+# Fewer are of a moment: of at most half a second after the release.
+_SEVERAL = 3
 # The last views before a press may show its approach: as long, which is more than one look at an idle gel (0.15 s), and
 # two frames of ten a second, which leaves one of a lift of 0.3 s.
 _HELD_BACK_NS = 180_000_000
@@ -164,6 +204,11 @@ class FreeViews:
         """The free gel after the last press, float32 (h, w, 3), of one view at least; None where it was not seen, or
         just before the next press alone."""
         return self._mean
+
+    @property
+    def is_fresh(self) -> bool:
+        """Whether the mean is of a moment after the release of the last press alone."""
+        return self._count < _SEVERAL
 
     def clear(self) -> None:
         """Forget it: another gel is mounted."""

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from edge.core.arrays import F32, Mask
 from edge.core.contact.reference import View
-from edge.core.gel_scars.causes import SEVERAL, blame, is_explained, remaining, together
-from edge.core.gel_scars.free_change import Marks, marks
+from edge.core.gel_scars.causes import SEVERAL, blame, doubt, is_explained, remaining, together
+from edge.core.gel_scars.free_change import Marks, find_clear_marks, marks
 from edge.core.gel_scars.press import ScoredPress
 from edge.core.gel_scars.record import ScarRecord
+from edge.core.gel_scars.specks import Specks
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.verdict import Blame, Cause
 
@@ -21,6 +22,8 @@ __all__ = ["GelScars", "Judged"]
 # What a scar raises around itself is masked up to this distance from the mark, in pixels of the view: 1 mm. On
 # simulated gels the map exceeds its limit up to 0.7 mm away.
 _HALO_PX: Final = 8
+# Dust that is strong shows as an imprint does, up to this distance from its mark: 1.5 mm.
+_OWN_REACH_PX: Final = 12
 # What a mark shows in a press may be less than it shows on the free gel: these shares of it are tried.
 _SHARES: Final = (1.0, 0.7, 0.4)
 # The mask is 0.25 mm wider than what exceeded: the next press shows the scar slightly larger.
@@ -31,7 +34,8 @@ _REPEATED: Final = 5
 
 @dataclass(frozen=True)
 class Repeated:
-    """A place of the gel that exceeded the limit in press after press. x_mm, y_mm: from the region's corner."""
+    """A place of the gel that exceeded the limit, or that the free gel showed marked, in press after press. x_mm, y_mm:
+    from the region's corner."""
 
     x_mm: float
     y_mm: float
@@ -54,7 +58,8 @@ class Judged:
     is_new: bool
     """A scar became known with this press."""
     repeated: Repeated | None = None
-    """None where no place exceeded in five presses in a row; known scars are left out."""
+    """None where no place exceeded, and none beyond the part was marked, in five presses in a row; known scars are left
+    out."""
 
 
 class _Places(NamedTuple):
@@ -92,10 +97,31 @@ class GelScars:
         self.record = record or ScarRecord.empty((VIEW_SIZE[1], VIEW_SIZE[0]))
         self.first = first
         self._in_a_row = np.zeros((VIEW_SIZE[1], VIEW_SIZE[0]), np.int64)
+        self._specks = Specks()
+        self.near_marks: Mask = np.zeros((VIEW_SIZE[1], VIEW_SIZE[0]), bool)
+        """Where a clear mark of the free gel just before the press may show as if something touched, bool (120, 160).
+        """
+        self.is_fresh = False
+        """Whether the free gel that is judged with next was seen for a moment after a release alone."""
         self._found: tuple[tuple[View | None, View | None, View | None], Marks | None] = (
             (None, None, None),
             None,
         )
+
+    def see_free(self, free: View | None, left: View | None) -> None:
+        """Look for clear marks of the free gel as a press begins; it takes both as `judge` does. Where it is not known,
+        or has changed all over, none are."""
+        first, clear = self.first, None
+        if free is not None and first is not None and free.shape == first.shape:
+            clear = find_clear_marks(first, free, left)
+        self.near_marks = np.zeros_like(self.near_marks) if clear is None else _within(clear, _OWN_REACH_PX)
+        if clear is not None:
+            self._specks.see(clear)
+
+    @property
+    def has_specks(self) -> bool:
+        """Whether the free gel shows marks that are said where they lie beyond the reach of the next press."""
+        return bool(self._specks.lasting.any())
 
     def judge(
         self, press: ScoredPress, free: View | None, left: View | None = None, *, is_masking: bool = True
@@ -116,17 +142,31 @@ class GelScars:
         blames, scars, shown = list[Blame](), np.zeros_like(before), press.extent()
         if (beyond := rest > press.limit).any():
             is_open = press.in_view(beyond.astype(np.float32)) > 0 if masked.any() else excess > 0
-            blames, scars = self._blame_places(
-                press, np.where(is_open, excess, 0), excess_places, self.find_marks(free, left)
-            )
+            blames, scars = self._blame_places(press, np.where(is_open, excess, 0), excess_places, free, left)
         self.record = self.record.after(excess > 0, shown, scars, press.moved_mm)
+        repeated = self._find_repeated(press, np.where(before, np.float32(0), excess), shown, outside)
+        speck = None if repeated else self._find_speck(press, shown)
+        if (
+            speck is not None
+        ):  # it is left out so that the picture shows it; what exceeds there is judged as ever
+            masked = masked | (press.in_map(speck) & (press.score_map <= press.limit))
+            repeated = _locate(press, *np.argwhere(speck).mean(axis=0).tolist(), is_outside=True)
         return Judged(
             masked,
             *_blind(press, scarred),
             together(blames),
             bool((self.record.masked & ~before).any()),
-            self._find_repeated(press, np.where(before, np.float32(0), excess), shown, outside),
+            repeated,
         )
+
+    def _find_speck(self, press: ScoredPress, shown: Mask) -> Mask | None:
+        """Find the largest mark of the free gel that lies where the part is not, bool (120, 160)."""
+        if press.reach is None:
+            return None
+        places = _Places.of((self._specks.lasting & shown & ~press.reach).astype(np.float32))
+        if len(places.boxes) < 2:
+            return None
+        return np.asarray(places.labels == 1 + int(places.boxes[1:, cv2.CC_STAT_AREA].argmax()))
 
     def _find_repeated(self, press: ScoredPress, excess: F32, shown: Mask, outside: Mask) -> Repeated | None:
         """Find the place that exceeded in the most presses in a row."""
@@ -141,16 +181,11 @@ class GelScars:
             return None
         inside = np.where(here, cv2.distanceTransform(near.astype(np.uint8), cv2.DIST_L2, 5), 0)
         row, column = np.unravel_index(int(inside.argmax()), here.shape)
-        x_px, y_px = (column + 0.5) * press.size[0] / VIEW_SIZE[0], (row + 0.5) * press.size[1] / VIEW_SIZE[1]
-        return Repeated(
-            float(x_px - press.region.x) * press.mm_per_pixel[0],
-            float(y_px - press.region.y) * press.mm_per_pixel[1],
-            # of what exceeds in this press, the nearest
-            bool(
-                _measure_distance((excess > 0) & ~outside)[row, column]
-                > _measure_distance(outside)[row, column]
-            ),
+        # of what exceeds in this press, the nearest
+        to_part, to_outside = (
+            _measure_distance(places)[row, column] for places in ((excess > 0) & ~outside, outside)
         )
+        return _locate(press, float(row), float(column), is_outside=bool(to_part > to_outside))
 
     def find_marks(self, free: View | None, left: View | None) -> Marks | None:
         """Find the marks of the free gel, once for the same pictures, which do not change; None where they are not
@@ -159,21 +194,28 @@ class GelScars:
         if free is None or first is None or free.shape != first.shape:
             return None
         if any(one is not other for one, other in zip(self._found[0], (first, free, left), strict=True)):
-            self._found = (first, free, left), marks(first, free, left)
+            self._found = (first, free, left), marks(first, free, left, is_fresh=self.is_fresh)
         return self._found[1]
 
     def _blame_places(
-        self, press: ScoredPress, excess: F32, found: _Places, known: Marks | None
+        self, press: ScoredPress, excess: F32, found: _Places, free: View | None, left: View | None
     ) -> tuple[list[Blame], Mask]:
         """Blame every place that exceeds the limit somewhere; return also the places to mask from now on. excess: 0
-        where nothing is judged."""
+        where nothing is judged. free, left: as `judge` takes them."""
+        known = self.find_marks(free, left)
         scars = np.zeros(excess.shape, bool)
         numbers = np.flatnonzero(found.touch(excess > 0))
         judged = [np.where(found.labels == n, excess, np.float32(0)) for n in numbers]
-        blames = []
-        for n, left in zip(numbers, _lefts(press, judged, known), strict=True):
+        blames, lefts = [], _lefts(press, judged, known)
+        if self.is_fresh and known is not None and free is not None and self.first is not None:
+            at_least = _lefts(press, judged, marks(self.first, free, left))
+            lefts = [
+                None if one is None or least is None else doubt(one, least)
+                for one, least in zip(lefts, at_least, strict=True)
+            ]
+        for n, share in zip(numbers, lefts, strict=True):
             place = found.labels == n
-            blames.append(blame(left, self.record.repeats(place), _wide_mm(found.boxes[n], press)))
+            blames.append(blame(share, self.record.repeats(place), _wide_mm(found.boxes[n], press)))
             if blames[-1].cause is Cause.GEL:
                 scars |= self._scar(place, known)
         return blames, scars
@@ -185,6 +227,16 @@ class GelScars:
             near = near | _within(known.places, _HALO_PX)
         wide = cv2.dilate((place & near).astype(np.uint8), _WIDER)
         return np.asarray(wide > 0)
+
+
+def _locate(press: ScoredPress, row: float, column: float, *, is_outside: bool) -> Repeated:
+    """Say where a pixel of the view lies in the region."""
+    x_px, y_px = (column + 0.5) * press.size[0] / VIEW_SIZE[0], (row + 0.5) * press.size[1] / VIEW_SIZE[1]
+    x_mm, y_mm = (
+        (x_px - press.region.x) * press.mm_per_pixel[0],
+        (y_px - press.region.y) * press.mm_per_pixel[1],
+    )
+    return Repeated(x_mm, y_mm, is_outside)
 
 
 def _outside(press: ScoredPress, found: _Places) -> tuple[Mask, Mask]:

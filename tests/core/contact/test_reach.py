@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from edge.core.contact.mask import touched_mask
 from edge.core.contact.reference import Reference, View
-from edge.core.contact.relief import ReliefOfReference, find_expected_reach, reach
+from edge.core.contact.relief import ReliefOfReference, find_expected_reach, reach, reach_beside_marks
 from edge.core.imaging.region import Region
 
 GEL = np.full((120, 160, 3), 120, np.float32)
@@ -42,6 +42,23 @@ def test_a_burr_of_a_quarter_millimetre_is_the_part_s_and_a_faint_speck_is_not()
 
     assert reached(PART, burr)[21, 130]
     assert not reached(PART, speck)[10:32, 120:].any()
+
+
+def test_a_strong_speck_of_the_gel_is_not_the_part_s_and_a_burr_on_it_is() -> None:
+    """By what the press adds to the gel as it was just before; away from marks of the gel nothing changes."""
+    speck, burr = ((128, 132), (20, 24), 40.0), ((129, 131), (21, 23), 40.0)
+    free, near = pressed(speck, noise=2), np.zeros((120, 160), bool)
+    near[10:34, 118:142] = True
+
+    def reached_beside(*patches: tuple[tuple[int, int], tuple[int, int], float]) -> NDArray[np.bool_]:
+        level = pressed(*patches)
+        relief = ReliefOfReference(GEL).of(level - GEL, 3.5)
+        return reach_beside_marks(touched_mask(level - GEL), relief, level, free, near)
+
+    assert reached(PART, speck)[21, 130]
+    assert not reached_beside(PART, speck)[near].any()
+    assert reached_beside(PART, speck, burr)[21, 130]
+    assert reached_beside(PART, speck)[40:80, 56:104].all()
 
 
 def test_nominal_presses_show_where_relief_is_expected() -> None:

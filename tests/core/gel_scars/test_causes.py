@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from edge.core.gel_scars.causes import blame, remaining, together
+from edge.core.gel_scars.causes import blame, doubt, remaining, together
 from edge.core.gel_scars.record import Repeats
 from edge.core.verdict import Blame, Cause
 
@@ -64,3 +64,14 @@ def test_what_is_left_is_a_share_of_the_place() -> None:
     assert remaining(excess, excess * np.float32(3)) == 1
     assert remaining(excess, np.zeros_like(excess)) == 0
     assert remaining(np.zeros_like(excess), without) == 1
+
+
+@pytest.mark.parametrize(
+    ("left", "at_least", "cause"),
+    [(0.1, 0.0, Cause.GEL), (0.9, 0.1, Cause.UNSURE), (0.3, 0.1, Cause.UNSURE), (0.9, 0.7, Cause.PART)],
+)
+def test_what_may_be_the_rest_of_the_last_press_makes_nothing_the_gel_s(
+    left: float, at_least: float, cause: Cause
+) -> None:
+    """Nor the part's, where it explains the place."""
+    assert blame(doubt(left, at_least), NEVER, 1.0).cause is cause

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from edge.core.gel_scars.free_change import marks
+from edge.core.gel_scars.free_change import find_clear_marks, marks
 
 SHAPE = (120, 160)
 Y, X = np.mgrid[:120, :160].astype(np.float32)
@@ -108,6 +108,54 @@ def test_a_gel_that_has_changed_all_over_has_no_known_marks() -> None:
     other = gel(2) + np.asarray(20 * np.sin(X / 2)[..., None] * np.sin(Y / 2)[..., None], np.float32)
 
     assert marks(gel(1), other) is None
+
+
+def spot(levels: float, sigma: float, seed: int = 2) -> np.ndarray:
+    """A gel of one frame's noise with a round spot."""
+    around = np.exp(-((X - 80) ** 2 + (Y - 60) ** 2) / (2 * sigma**2))
+    noise = np.random.default_rng(seed).standard_normal((*SHAPE, 3))
+    return np.asarray(gel(seed) + noise + levels * around[..., None], np.float32)
+
+
+@pytest.mark.parametrize(
+    ("now", "is_clear"),
+    [
+        (spot(0, 1), False),
+        (spot(20, 1.5), True),
+        (spot(-20, 1.5), True),
+        (spot(10, 6), False),
+        (spot(3, 1.5), False),
+    ],
+    ids=["nothing", "a grain", "a pit", "a stain of worn coat", "a faint grain"],
+)
+def test_what_is_plain_to_see_in_one_frame_is_a_clear_mark(now: np.ndarray, is_clear: bool) -> None:
+    clear = find_clear_marks(gel(1), now)
+
+    assert clear is not None
+    assert clear.any() == is_clear
+    assert not clear[:50].any()
+
+
+def test_a_grain_that_lay_there_first_and_is_gone_is_no_clear_mark() -> None:
+    """A gel is not clean when it is mounted; wiped, it shows less."""
+    clear, known = find_clear_marks(spot(20, 1.5), gel(3)), marks(spot(20, 1.5), gel(3))
+
+    assert clear is not None
+    assert known is not None
+    assert (clear.any(), known.places[55:65, 75:85].any()) == (False, True)
+
+
+def test_of_a_moment_after_a_release_what_is_left_may_be_twice_as_much() -> None:
+    """A deep place recovers otherwise than a shallow one: a fifth of the imprint where a tenth is left on the whole."""
+    ribs = np.where((X - 80) ** 2 + (Y - 60) ** 2 < 40**2, 50 * np.sin(Y / 2), 0).astype(np.float32)
+    imprint = np.asarray(ribs[..., None] * np.array([1, 0.5, -1]), np.float32)
+    rest = np.where((X[..., None] - 80) ** 2 + (Y[..., None] - 60) ** 2 < 6**2, 0.19, 0.1) * imprint
+    now = np.asarray(gel(2) + rest, np.float32)
+    later, fresh = marks(gel(1), now, imprint), marks(gel(1), now, imprint, is_fresh=True)
+
+    assert later is not None
+    assert fresh is not None
+    assert (later.places.any(), fresh.places.mean() < 0.001) == (True, True)
 
 
 def test_pictures_of_two_sizes_are_refused() -> None:

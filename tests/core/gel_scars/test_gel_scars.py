@@ -286,7 +286,7 @@ def test_a_place_is_the_same_in_pictures_of_any_size(size: tuple[int, int]) -> N
 def test_marks_are_found_once_for_the_same_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """A stage asks ahead; a mean of later views, another first picture or another imprint is another question."""
     asked = list[tuple[object, ...]]()
-    monkeypatch.setattr(gel_scars, "marks", lambda *pictures: asked.append(pictures) or marks(*pictures))
+    monkeypatch.setattr(gel_scars, "marks", lambda *given, **how: asked.append(given) or marks(*given, **how))
     gel, views, left = GelScars(first=FREE), FreeViews(), np.zeros_like(FREE)
     for second in range(6):
         views.see(State.NO_CONTACT, marked(20), second * 10**9)
