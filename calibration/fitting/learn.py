@@ -333,8 +333,9 @@ class Comparison:
 
     @property
     def new_alarms(self) -> list[ConfirmedPress]:
-        """The good presses that the new bundle alone fails, where it fails more of them."""
-        good = self.presses.good
+        """The good presses that the new bundle alone fails, where it fails more of them. On a gel on which the old
+        bundle is not proven those of this gel count, as for a takeover: what another gel shows comes no more."""
+        good = self.presses.good if self.presses.new_gel is None else self.presses.good_on_new_gel
         if self.count(good, self.after) <= self.count(good, self.before):
             return []
         words = [(self.before[one.press.press_id].word, self.after[one.press.press_id].word) for one in good]

@@ -450,6 +450,32 @@ def test_presses_of_a_new_gel_that_were_refused_for_their_colours_are_learnt(
         assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.parametrize("gel", [None, GelBundle("SIM1", "G2", "bundle")])
+def test_on_a_new_gel_good_presses_of_gels_before_hold_up_no_bundle(gel: GelBundle | None) -> None:
+    """Where the old bundle is proven they do; a damage of whichever gel that the new bundle loses holds it up, and a
+    good press of the mounted gel."""
+    passed, failed = Press(decide(1.0, 2.0)), Press(decide(3.0, 2.0))
+
+    def refuse(before: Mapping[str, Press], after: Mapping[str, Press]) -> str:
+        presses = ConfirmedPresses(new_gel=gel, on_new_gel={"here", "there too"})
+        for name in before:
+            press = Mock(press_id=name, score=1.0, threshold=2.0, verdict="pass")
+            word = "damaged" if name.startswith("dent") else "good"
+            presses.add(ConfirmedPress(press, PersonVerdict(name, 0, "kim", word), b"", name))
+        try:
+            Comparison(presses, before, after).check()
+        except FitError as error:
+            return str(error)
+        return ""
+
+    earlier = {"here": passed, "earlier": passed, "earlier too": passed, "dent": failed}
+    fails_earlier = refuse(earlier, earlier | {"earlier": failed, "earlier too": failed})
+
+    assert ("it alone fails earlier (" in fails_earlier) == (gel is None)
+    assert "it alone fails here (" in refuse(earlier, earlier | {"here": failed})
+    assert "passes what was found before" in refuse(earlier, earlier | {"dent": passed})
+
+
 def test_on_a_new_gel_a_good_press_is_far_where_it_is_far_from_the_others() -> None:
     """All presses score higher there: of the threshold 2.6 is too far where the others score 1.2, and 3.2 is not where
     they score 1.8. A gel on which they score 2.6 times the threshold is too different."""
