@@ -22,7 +22,7 @@ WRITTEN_S = 6.0
 def audit_words(world: World, station: Station) -> Iterator[str]:
     """The alarm `escape` says that a press has passed which people call damaged, by the newest word; and only that."""
     is_kept_from_it = station.is_held_up or station.is_disk_disturbed or station.loop.is_halted
-    if world.clock.wall_ns != WALL_NS or is_kept_from_it:  # the words of a day count, and it was set
+    if world.clock.wall_ns != WALL_NS:  # the words of a day count, and it was set
         return
     query = (
         "SELECT arguments ->> '$.press_id', arguments ->> '$.verdict' FROM acts "
@@ -37,8 +37,12 @@ def audit_words(world: World, station: Station) -> Iterator[str]:
     if is_raised and escaped:
         station.reached.add("a damaged part was said to have passed")
     now_ns = world.clock.now_ns
-    unsaid_ns = station.so_since("an escape is not said", bool(escaped) and not is_raised)
-    false_ns = station.so_since("an escape that is none is said", is_raised and not escaped)
+    unsaid_ns = station.so_since(
+        "an escape is not said", bool(escaped) and not (is_raised or is_kept_from_it)
+    )
+    false_ns = station.so_since(
+        "an escape that is none is said", is_raised and not (escaped or is_kept_from_it)
+    )
     if unsaid_ns is not None and now_ns - unsaid_ns > SAID_S * S:
         yield f"press {escaped[0]} passed, a person calls it damaged, and no alarm says so"
     if false_ns is not None and now_ns - false_ns > SAID_S * S:
