@@ -3,8 +3,10 @@
 They are no records: a damaged or missing one is learnt again, and no count depends on them.
 """
 
+import io
 import logging
 import os
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar
@@ -36,9 +38,12 @@ class GelFiles:
         """Read a picture of the free gel, float32 (h, w, 3), RGB; None when it is missing or cannot be read."""
         return self.load(serial, gel_id, name, _reference)
 
-    def save_picture(self, serial: str, gel_id: str, reference: Reference) -> None:
-        """Keep this picture as the last of its gel, and as the first if it has none."""
-        is_kept = self.save(serial, gel_id, "last", reference.view)
+    def save_picture(
+        self, serial: str, gel_id: str, reference: Reference, *, is_confirmed: bool = True
+    ) -> None:
+        """Keep this picture as the last of its gel, and as the first if it has none. is_confirmed: it is known to be of
+        the free gel; otherwise it may be the first one, and no start compares with it."""
+        is_kept = not is_confirmed or self.save(serial, gel_id, "last", reference.view)
         if is_kept and not self._path(serial, gel_id, "first").exists():
             self.save(serial, gel_id, "first", reference.view)
             self._remove_old(serial)
@@ -61,7 +66,7 @@ class GelFiles:
         raises ValueError for one that is none."""
         path = self._path(serial, gel_id, name)
         try:
-            return make(np.load(path, allow_pickle=False))
+            return make(_read_array(path.read_bytes()))
         except FileNotFoundError:
             return None
         except (OSError, EOFError, ValueError) as error:  # EOFError: an empty file after a power cut
@@ -74,8 +79,9 @@ class GelFiles:
         part = path.with_suffix(".part")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with part.open("wb") as file:
-                np.save(file, array, allow_pickle=False)
+            content = io.BytesIO()
+            np.save(content, array, allow_pickle=False)
+            part.write_bytes(content.getvalue() + _checksum(content.getvalue()))
             os.replace(part, path)
         except OSError as error:
             log.warning("%s was not kept: %s", path, error.strerror or error)
@@ -95,6 +101,22 @@ class GelFiles:
 
     def _path(self, serial: str, gel_id: str, name: Name) -> Path:
         return self.folder / _file_name(serial) / f"{_file_name(gel_id)}.{name}.npy"
+
+
+def _checksum(content: bytes) -> bytes:
+    """Make what follows the array in its file: without it, a file that a power cut has torn could be read as another
+    array."""
+    return b"%08x" % zlib.crc32(content)
+
+
+def _read_array(data: bytes) -> NDArray[Any]:
+    """Read a file; that of an earlier version has no checksum. Errors: EOFError, ValueError."""
+    stream = io.BytesIO(data)
+    array = np.load(stream, allow_pickle=False)
+    end = stream.tell()
+    if data[end:] not in (b"", _checksum(data[:end])):
+        raise ValueError("its checksum is another one; a power cut may have torn it")
+    return np.asarray(array)
 
 
 def _reference(view: NDArray[Any]) -> Reference:

@@ -40,6 +40,30 @@ def test_a_picture_damaged_or_of_another_size_is_none(tmp_path: Path, content: b
     assert GelFiles(tmp_path).load_picture("S1", "g", "last") is None
 
 
+@pytest.mark.parametrize("sector", [0, 1, 200, -1])
+def test_a_file_that_a_power_cut_has_torn_is_none(tmp_path: Path, sector: int) -> None:
+    """512 bytes of it were not written; what is left could be read as a picture."""
+    folder, path = GelFiles(tmp_path), tmp_path / "S1" / "g.last.npy"
+    view = np.random.default_rng(3).random((120, 160, 3), np.float32)
+    folder.save_picture("S1", "g", Reference(view))
+    content = bytearray(path.read_bytes())
+    start = range(0, len(content), 512)[sector]
+    content[start : start + 512] = bytes(len(content[start : start + 512]))
+    path.write_bytes(content)
+
+    assert folder.load_picture("S1", "g", "last") is None
+
+
+def test_a_file_of_an_earlier_version_has_no_checksum(tmp_path: Path) -> None:
+    path = tmp_path / "S1" / "g.last.npy"
+    path.parent.mkdir()
+    np.save(path, np.ones((120, 160, 3), np.float32))
+
+    picture = GelFiles(tmp_path).load_picture("S1", "g", "last")
+    assert picture is not None
+    assert picture.view.min() == 1.0
+
+
 def test_a_file_that_cannot_be_written_or_removed_is_in_the_log_and_ends_nothing(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
