@@ -9,7 +9,7 @@ from typing import Final
 
 from edge import registry
 from edge.config import BundleTable, Config, InspectionTable, PluginTable
-from edge.core.errors import BundleMismatch, ConfigError, GelgateError
+from edge.core.errors import BundleMismatch, ConfigError, GelgateError, StoreError
 from edge.core.part_position import PartPosition
 from edge.core.plugins import Played, PlaysRecording
 from edge.core.ports import Clock, Device, DeviceIdentity
@@ -119,6 +119,8 @@ class BundleOpener:
             earlier = before.at(path)
             try:
                 found = found.with_shadow(self._open_one(BundleTable(path=path), table, trust, earlier))
+            except StoreError:  # no fault of the shadow: all are opened again
+                raise
             except GelgateError as error:
                 if earlier is None or earlier.instead_of is None:
                     faults.append(str(error))

@@ -28,6 +28,8 @@ CLOSE_S: Final = 3.0
 GOLDEN_EVERY_S: Final = 3600.0
 # After a fault they are scored again sooner: it may have been the memory of one moment.
 AFTER_FAULT_S: Final = 60.0
+# Bundles are opened again so long after the database could not be asked about them.
+ASK_AGAIN_S: Final = 5.0
 
 
 class GoldenWatch:
@@ -114,6 +116,8 @@ class PartSelection:
         self._clock = clock
         self._is_recorded = False
         self._exchanges = 0
+        self._again_ns: int | None = None
+        """When bundles are opened again: what the database says of them could not be read."""
         self._unrecorded: deque[Act] = deque()
         self.golden = GoldenWatch(clock)
         self.on_change: Callable[[], None] = lambda: None
@@ -190,6 +194,9 @@ class PartSelection:
         """Take one turn: new bundles, change the one in use, score a golden frame. Errors: StoreError, and then the one
         in use has not changed; the next turn tries again."""
         inspector, bundles = self.inspector, self.bundles
+        if self._again_ns is not None and self._clock.monotonic_ns() >= self._again_ns:
+            self._again_ns = None
+            self.reload()
         if (outcome := self.worker.take()) is not None:
             exchanges, staged = outcome
             if exchanges == self._exchanges:
@@ -239,7 +246,10 @@ class PartSelection:
 
     def _take(self, staged: Opened | GelgateError) -> None:
         """Use the new bundles, unless the selected position would have none."""
-        faults = [str(staged)] if isinstance(staged, GelgateError) else list(map(str, staged.faults.values()))
+        errors = [staged] if isinstance(staged, GelgateError) else list(staged.faults.values())
+        is_unread = any(isinstance(error, StoreError) for error in errors)
+        self._again_ns = self._clock.monotonic_ns() + round(ASK_AGAIN_S * 1e9) if is_unread else None
+        faults = list(map(str, errors))
         if isinstance(staged, Opened):
             if {self.part, self._wanted} <= set(staged.bundles.bundles):
                 self.bundles = staged.bundles

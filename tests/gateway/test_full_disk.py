@@ -1,6 +1,7 @@
 """A disk that fills up while presses come in."""
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from full_disk import room_for
@@ -10,6 +11,23 @@ from edge.cli.gel import replace
 from edge.core.errors import StoreError
 from edge.store.press_counts import PressCounts
 from edge.store.press_store import Store
+
+
+def test_bundles_are_opened_again_where_the_database_could_not_be_asked_about_them(
+    station: SteppedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is no fault of theirs: the alarm ends without another request."""
+    station.turn()
+    with monkeypatch.context() as failing:
+        failing.setattr(station.parts.store, "read", Mock(side_effect=StoreError("the disk fails")))
+        station.reload()
+    assert "the disk fails" in str(station.alarm("bundle"))
+    station.clock.sleep(6)
+    station.turn()
+    station.parts.selection.worker.step()
+    station.turn()
+
+    assert station.alarm("bundle") is None
 
 
 class Killed(BaseException):
