@@ -12,10 +12,10 @@ from edge.store.integrity import check_database
 from edge.store.press_archive import ArchiveFolder
 from simulation.alarms import audit_alarms, is_sensor_lost
 from simulation.auditors_brokers import audit_availability, audit_levels
+from simulation.auditors_bundles import audit_bundles, audit_judges
 from simulation.auditors_contact import audit_contact, audit_lifts, audit_overloads
 from simulation.auditors_database import audit_locked
 from simulation.auditors_features import (
-    audit_bundles,
     audit_due,
     audit_master,
     audit_overview,
@@ -93,6 +93,7 @@ def audit_now(world: World, station: Station) -> Iterator[str]:
     yield from _audit_new_gel(world, station)
     yield from audit_alarms(world, station)
     yield from audit_locked(world, station)
+    yield from audit_bundles(world, station)
     yield from _audit_sight(world, station)
     is_unsaid = station.is_loss_open and "counts" not in station.loop.parts.status.view().alarms
     lost_ns = station.so_since("a loss is not said", is_unsaid and station.loop.session is not None)
@@ -134,6 +135,7 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from audit_lifts(world, station)
     yield from audit_overloads(world, station)
     yield from audit_answers(world, station, found)
+    yield from audit_judges(world, station)
     yield from audit_pieces(world, station)
     yield from audit_retained(world, station)
     yield from audit_late(world, station)
@@ -142,7 +144,6 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from audit_file(station)
     yield from audit_archive(station)
     yield from audit_memory(world, station)
-    yield from audit_bundles(world, station)
     yield from audit_overview(world, station, found)
     yield from audit_master(world, station)
     yield from station.found

@@ -82,15 +82,6 @@ def audit_snapshots(world: World, station: Station) -> Iterator[str]:
             yield f"the snapshot {path.name} has {len(times)} frames, not those of its time"
 
 
-def audit_bundles(world: World, station: Station) -> Iterator[str]:
-    """No press has a verdict of another bundle than the one that is configured for its part."""
-    for broker in world.brokers.values():
-        for press_id, results in broker.results.items():
-            part, bundle = str(results[0]["part"]), results[0]["bundle_id"]
-            if bundle not in (None, station.configured[part]):
-                yield f"{broker.name}: press {press_id} of {part} was judged by a bundle that is not its own"
-
-
 def audit_due(world: World, station: Station) -> Iterator[str]:
     """A press of the master piece is due at once on a new gel, and the alarm `reference` says so."""
     session = station.loop.session

@@ -12,6 +12,7 @@ from simulation.options import MESSAGES
 from simulation.outputs import GATE, LAMP, OVERLOAD, REJECT
 from simulation.plc import STEPS
 from simulation.plc_lines import PORTS
+from simulation.shelf import BROKEN
 from simulation.surroundings import World
 
 SOMETIMES = (
@@ -114,6 +115,8 @@ SOMETIMES = (
     *(f"database locked{when}" for when in ("", " during a press")),
     *(f"another program {what} at the database" for what in ("writes", "reads", "is alone")),
     "the loop waited for a database that was locked",
+    *(f"a bundle was {kind}{when}" for kind in ("newer", *BROKEN) for when in ("", " during a press")),
+    "a start was refused for its bundle",
 )
 
 

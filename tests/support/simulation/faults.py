@@ -12,6 +12,7 @@ from simulation.overview_camera import disturb_overview
 from simulation.people import PEOPLE
 from simulation.plc import STEPS, Server
 from simulation.sensor import OTHER_SERIAL, SERIAL, S
+from simulation.shelf import exchange_bundle
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -425,6 +426,7 @@ FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "slow disk": slow_disk,
     "bad disk": bad_disk,
     "lock database": lock_database,
+    "exchange bundle": exchange_bundle,
     "step clock": step_clock,
     "stop": stop,
     "lose database": lose_database,
@@ -522,6 +524,7 @@ MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
     "fill disk": lambda run: "hang up" not in run.meeting or _is_result_unsent(run),
     "unplug": _is_pressed_judged,
     "lock database": _is_pressed_unjudged,
+    "exchange bundle": _is_pressed_unjudged,
     "begin piece": _is_piece_asked_for,
 }
 """When a fault does most harm: every other one waits for it."""
@@ -529,7 +532,16 @@ MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
 WAIT_FIRST = {"step clock", "silence", "blind", "hold back", "unplug", "begin piece"}
 """Faults whose first one waits; of others a draw says whether it does."""
 
-NEEDS_ANSWER = {"stop", "lock database", "lose database", "freeze", "hang", *PEOPLE, *ASKED}
+NEEDS_ANSWER = {
+    "stop",
+    "exchange bundle",
+    "lock database",
+    "lose database",
+    "freeze",
+    "hang",
+    *PEOPLE,
+    *ASKED,
+}
 """Faults that need an answer of the process."""
 NEEDS_DISK = {"fill disk", "lose power", "slow disk", "bad disk", "lock database"}
 """Faults for which the writes of SQLite are listened to."""

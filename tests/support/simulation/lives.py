@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,13 +26,14 @@ from edge.features.outputs.stage import Outputs
 from edge.gateway.build import open_station
 from edge.gateway.command_table import every_command
 from edge.gateway.opening import BundleOpener
-from edge.gateway.preflight import Preflight
+from edge.gateway.preflight import Preflight, _describe_store
 from edge.gateway.recorder import PressReport
 from edge.gateway.station_loop import StationLoop
 from edge.messaging.command_payloads import signature_of, signed_text
 from edge.model.inspector import Inspector
 from edge.model.session import TrunkSessions
 from edge.press_stage import PressStage
+from edge.store.bundles_in_use import revision
 from simulation.bundles import PARTS
 from simulation.disk import Disk, hear_audits
 from simulation.locks import SharedDatabase
@@ -96,8 +98,6 @@ class Station:
         """The names of those that were there, and complete, as last looked at."""
         self.reached = set[str]()
         """Conditions that auditors have seen."""
-        self.configured: dict[str, str] = {}
-        """Each part, and the bundle that inspects it."""
         self.answers: list[dict[str, Any]] = []
         """Of requests that people have sent, in order."""
         self.was_waiting = self.has_selected_late = False
@@ -112,6 +112,8 @@ class Station:
         """Called when it does."""
         self.hung: list[tuple[int, int]] = []
         """From when to when it hung."""
+        self.told: list[tuple[int, str]] = []
+        """The bundle that `info` named, and from when on."""
         self.fps = S / world.sensor.period_ns
         self.halted_ns: list[int] = []
         """When it was not ready, about each time that the camera makes a frame."""
@@ -169,8 +171,17 @@ class Station:
         checked.opener.trunks = (
             self._trunks
         )  # the same file in each life: opening it again would find nothing
+        config = self.config
+        checked.opener.newest = lambda part: _describe_store(config, partial(revision, part=part))
         checked.open_bundles(self.config)
-        self.configured = {part.part: one.bundle.digest for part, one in checked.bundles.bundles.items()}
+        for finding in checked.findings:  # as `gelgate run`
+            if finding.error is not None:
+                raise finding.error
+        if self.world.shelf.wrong:
+            self.found.append(
+                f"the gateway starts with a bundle that is {[*self.world.shelf.wrong.values()]}"
+            )
+        self.world.shelf.note_asked()
         opened = open_station(self.config, clock, self._note, checked, stages={"witness": Witness(self)})
         self.loop = self._closing.enter_context(opened)
         self.shared.begin(self)

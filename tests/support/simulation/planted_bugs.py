@@ -400,4 +400,25 @@ BUGS = (
         "newest.bundle_id != mounted.bundle_id",
         "no master piece was pressed on gel",
     ),
+    Bug(
+        "a bundle that has changed under its manifest stays",
+        "edge/gateway/opening.py",
+        "            self._check_age(Bundle.load(one.path, trust=trust), table)\n",
+        "",
+        "the alarm bundle is not raised",
+    ),
+    Bug(
+        "a bundle is exchanged during a press",
+        "edge/gateway/part_selection.py",
+        "            if not is_pressed and (self.is_waiting or",
+        "            if True and (self.is_waiting or",
+        "is judged by bundle",
+    ),
+    Bug(
+        "a bundle with a fault leaves its place empty",
+        "edge/gateway/opening.py",
+        "                        if earlier and before.may_inspect(earlier)\n",
+        "                        if False\n",
+        "is still raised|retains the state|was to be opened",
+    ),
 )

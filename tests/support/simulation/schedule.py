@@ -15,7 +15,7 @@ from pathlib import Path
 from traceback import extract_tb, format_exception
 
 from edge.config import Config, load_config
-from edge.core.errors import StoreError
+from edge.core.errors import BundleError, ConfigError, StoreError
 from simulation.asked import TABLE as MASTER_TABLE
 from simulation.auditors import CALM_S, audit_end, audit_now, audit_replay
 from simulation.auditors_outbox import ARCHIVED
@@ -33,6 +33,7 @@ from simulation.pieces import PIECE
 from simulation.plc import HANDSHAKE
 from simulation.power import listening
 from simulation.sensor import S
+from simulation.shelf import Shelf
 from simulation.surroundings import World, reading_log
 from simulation.threads import Actor, Threads
 
@@ -112,7 +113,8 @@ class Simulation:
         self._config, self._secret = folder / "gelgate.toml", folder / "commands.key"
         self._secret.write_text(SECRET)
         self._secret.chmod(0o600)
-        self._bundles, self.order = bundles, list(self.world.brokers)
+        self.world.shelf = Shelf(folder / "bundles", bundles)
+        self._bundles, self.order = self.world.shelf.paths, list(self.world.brokers)
         self.station = Station(self.world, self._disk, self._read_config)
         self._calm_ns: int | None = None
         self._asked_ns = 0
@@ -149,7 +151,7 @@ class Simulation:
                 self._turn()
             if not self.run.faults:
                 self.run.faults += audit_end(self.world, self.station)
-                self.run.faults += audit_replay(self.world, self.station, self._bundles)
+                self.run.faults += audit_replay(self.world, self.station, self.world.shelf.replayed)
             self.run.reached.update(set(reached_at_end(self.world, self.station)))
             self.run.counted["presses"] += len(self.world.hand.presses)
             for broker in self.world.brokers.values():
@@ -376,12 +378,19 @@ class Simulation:
             self.ending.pop("another sensor")()
         try:
             self.station.open()
-        except StoreError as error:
+        except (StoreError, BundleError, ConfigError) as error:
             self.note(f"the start failed: {error}")
             self.reach("a start failed, and the next one did not")
-            for fault in {"disk errs", "disk full", "database locked"} & set(self.ending):
+            is_bundles = not isinstance(error, StoreError)
+            self.reach("a start was refused for its bundle") if is_bundles else None
+            ends = ("bundle of",) if is_bundles else ("disk errs", "disk full", "database locked")
+            found = [name for name in self.ending if name.startswith(ends)]
+            if not found:
+                raise
+            for fault in found:
                 self.ending.pop(fault)()
-            self.station.open()
+            self.open_again()
+            return
         for actor in self._threads.own:
             actor.due_ns = self.world.clock.now_ns
 

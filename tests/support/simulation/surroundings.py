@@ -26,6 +26,7 @@ from simulation.overview_camera import OverviewCamera
 from simulation.pieces import PieceWorker
 from simulation.plc import Plc, Server
 from simulation.sensor import SERIAL, S, Sensor
+from simulation.shelf import Shelf
 
 WALL_NS = 1_780_000_000 * S
 """What the wall clock says at first."""
@@ -115,6 +116,8 @@ class World:
         self.brokers = {
             name: Broker(name, random.Random(f"{seed} {name}"), self.clock, chosen.level) for name in names
         }
+        self.shelf: Shelf
+        """The bundles of the run."""
         self.is_dead = lambda: False
         self.may_refuse = lambda: False  # what would have to be recorded, or done in time
         self.connections = Connections(self.clock, self.brokers, lambda: self.is_dead())

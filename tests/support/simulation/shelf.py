@@ -1,0 +1,116 @@
+"""The folders of the bundles, and the person who exchanges one: by a new one, an old one, a wrong or a broken one."""
+
+import hashlib
+import json
+import random
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from simulation.bundles import PARTS
+
+if TYPE_CHECKING:
+    from simulation.schedule import Simulation
+
+BROKEN = ("of another part", "cut", "half copied", "changed under its manifest", "removed")
+"""Such a bundle is refused (docs/operations.md, What happens when)."""
+
+
+class Shelf:
+    """The bundles of a run. paths: those that are configured, one of each part; beside them `shadow`."""
+
+    def __init__(self, folder: Path, bundles: Sequence[Path]) -> None:
+        self._originals, self._kept = bundles, folder / "kept"
+        self._kept.mkdir(parents=True)
+        self.paths = [folder / part for part in PARTS]
+        for original, path in zip(bundles, self.paths, strict=True):
+            shutil.copytree(original, path)
+        shutil.copytree(bundles[0].with_name("shadow"), folder / "shadow")
+        _set_revision(folder / "shadow", 1 << 30)  # an older one would not be scored
+        self.ids = [_identify(path) for path in self.paths]
+        """Of the bundle that each part should have after a reload."""
+        self.parts = dict(zip(self.ids, PARTS, strict=True))
+        """Of each bundle that was ever there, and is whole."""
+        self.wrong: dict[int, str] = {}
+        """What is the matter with that of a part."""
+        self.asked = 0
+        """Requests to open what is there."""
+        self.is_asked = False
+        """Since the last exchange."""
+        self._revision = 0
+
+    @property
+    def replayed(self) -> list[Path]:
+        """All bundles that may have judged."""
+        return [*self._originals, self._kept]
+
+    def put(self, part: int, kind: str) -> None:
+        """Exchange one. kind: `newer`, or one of BROKEN."""
+        path = self.paths[part]
+        shutil.rmtree(path, ignore_errors=True)
+        self.wrong.pop(part, None)
+        self.is_asked = False
+        if kind == "newer":
+            self._revision += 1
+            self._write_next(part)
+            return
+        if kind != "removed":
+            shutil.copytree(self._originals[1 - part if kind == "of another part" else part], path)
+        self.wrong[part] = kind
+        head = path / "head.onnx"
+        if kind == "cut":
+            head.write_bytes(head.read_bytes()[:-100])
+        elif kind == "changed under its manifest":
+            head.write_bytes(head.read_bytes().replace(b"brighter", b"darkened"))
+        elif kind == "half copied":
+            shutil.rmtree(path / "bank")
+
+    def note_asked(self) -> None:
+        """All that is there is to be opened."""
+        self.asked, self.is_asked = self.asked + 1, True
+
+    def _write_next(self, part: int) -> None:
+        path = self.paths[part]
+        shutil.copytree(self._originals[part], path)
+        _set_revision(path, self._revision)
+        self.ids[part] = _identify(path)
+        self.parts[self.ids[part]] = PARTS[part]
+        shutil.copytree(path, self._kept / self.ids[part])
+
+
+def _set_revision(path: Path, revision: int) -> None:
+    manifest = json.loads((path / "manifest.json").read_text())
+    (path / "manifest.json").write_text(json.dumps({**manifest, "revision": revision}))
+
+
+def _identify(path: Path) -> str:
+    return hashlib.sha256((path / "manifest.json").read_bytes()).hexdigest()
+
+
+def exchange_bundle(run: "Simulation", rng: random.Random) -> float:
+    """A person exchanges the bundle of a part, and mostly has it opened, or starts the service again; what is wrong
+    is found later, and mended."""
+    from simulation.faults import stop
+
+    shelf, station = run.world.shelf, run.station
+    if shelf.wrong:
+        return 1.0
+    kind, how = rng.choice((*["newer"] * 4, *BROKEN)), rng.choice((*["reload"] * 4, "restart", "later"))
+    part = PARTS.index(run.world.parts.wanted) if rng.random() < 0.7 else rng.randrange(2)
+    shelf.put(part, kind)
+    run.reach_here(f"a bundle was {kind}")
+
+    def mend() -> None:
+        if shelf.wrong:
+            shelf.put(part, "newer")
+        station.ask("reload")
+        shelf.note_asked()
+
+    run.for_a_while(f"bundle of {PARTS[part]} {kind}, {how}", rng.choice((2.0, 5.0, 15.0)), mend)
+    if how == "reload":
+        station.ask("reload")
+        shelf.note_asked()
+    elif how == "restart":
+        stop(run, rng)
+    return 0.0
