@@ -44,6 +44,7 @@ class ContactWatch(PressStage):
         self.follower = ContactFollower()
         self._parts, self._clock = parts, parts.clock
         self._taken_ns = self._seen_ns = parts.clock.monotonic_ns()
+        self._lost_ns: int | None = None
         self._is_ready = False
         self._look: Look | None = None
         self._contact: NominalContact | None = None
@@ -68,9 +69,10 @@ class ContactWatch(PressStage):
         self._reach = _place_reach(inspector)
 
     def take(self, frame: CameraFrame) -> None:
+        """Tell frames of now from those that waited while nobody looked: what these show ends no loss."""
         now_ns = self._clock.monotonic_ns()
-        is_old = not frame.is_on_demand and now_ns - frame.timestamp_ns > _OLD_S * 1e9
-        self._taken_ns = frame.timestamp_ns if is_old else now_ns
+        oldest_ns = max(now_ns - round(_OLD_S * 1e9), self._lost_ns or 0)
+        self._taken_ns = now_ns if frame.is_on_demand or frame.timestamp_ns >= oldest_ns else 0
 
     def see(self, event: Event) -> None:
         """Say at once that a press rests. What else an event means is said with the look at its frame."""
@@ -109,9 +111,13 @@ class ContactWatch(PressStage):
             self._waiting.popleft()
 
     def _lose_unseen(self) -> None:
-        if self._clock.monotonic_ns() - self._seen_ns > GAP_S * 1e9:
-            self.follower.lose()
-            self._say()
+        now_ns = self._clock.monotonic_ns()
+        if now_ns - self._seen_ns <= GAP_S * 1e9:
+            self._lost_ns = None
+            return
+        self._lost_ns = self._lost_ns or now_ns
+        self.follower.lose()
+        self._say()
 
     def _watch_overload(self) -> None:
         """Raise the alarm at the first frame; only a gel that is seen free ends it."""

@@ -5,6 +5,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from station import station_config, variant
@@ -12,6 +13,7 @@ from stepped_station import SteppedStation
 
 from edge.core.contact.events import PressEnded
 from edge.core.contact.press_detector import GAP_S
+from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Message
 from edge.features.contact_state import ContactWatch
 
@@ -86,6 +88,24 @@ def test_frames_that_show_nothing_leave_it_unknown(
     watch.look(replace(watch._look, timestamp_ns=station.clock.monotonic_ns(), seen=None))
     watch.turn(None)
     assert said[-1]["state"] == "unknown"
+
+
+def test_frames_that_waited_while_nobody_looked_end_no_loss(
+    station: SteppedStation, said: list[dict[str, Any]]
+) -> None:
+    """The loop recorded for half a second: `lift` of the part that lay there before is not said over the next one."""
+    station.play_until(lambda: bool(said) and said[-1]["state"] == "lift")
+    watch = station.find(ContactWatch)
+    assert watch._look is not None
+    begun_ns = station.clock.monotonic_ns()
+    station.clock.sleep(0.6)
+    watch.turn(None)
+    for made_ns, state in ((begun_ns + 10**8, "unknown"), (begun_ns + 7 * 10**8, "lift")):
+        station.clock.sleep(0.11)
+        watch.take(CameraFrame(b"", made_ns, 1))
+        watch.look(replace(watch._look, timestamp_ns=made_ns, sight=Mock(seen_ns=made_ns)))
+        watch.turn(None)
+        assert said[-1]["state"] == state
 
 
 def test_a_station_ended_or_halted_says_nothing(station: SteppedStation, said: list[dict[str, Any]]) -> None:

@@ -418,4 +418,27 @@ FAILED = (
         ),
         says="the alarm device is still raised # s after its reason went",
     ),
+    Failure(
+        seed=1000,
+        presses=20,
+        chosen=Chosen(
+            has_archive=False,
+            sloth_s=0.03,
+            fps=9.0,
+            level="silent at 5",
+            has_file=True,
+            piece="fixed",
+            meetings=(("hang up", "stop"), ("plc", "second plc"), ("blind",), ("kill",)),
+            forgets=True,
+            features=("snapshot",),
+        ),
+        schedule=(
+            Fault(at_s=35.872612, name="relay", seed=1001757555),
+            Fault(at_s=36.061523, name="request", seed=4274270137),
+            Fault(at_s=36.134729, name="kill", seed=426094222),
+            Fault(at_s=39.324766, name="kill", seed=3988038376),
+            Fault(at_s=41.637088, name="slow disk", seed=3997260865),
+        ),
+        says="lift was shown at # s, and press # was not recorded yet",
+    ),
 )
