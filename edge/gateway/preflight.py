@@ -12,7 +12,7 @@ import sqlite3
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import date
+from datetime import date, timedelta
 from functools import partial
 from itertools import combinations
 from typing import Self, TypeVar
@@ -167,6 +167,10 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     opener.taken = lambda part: _describe_store(config, partial(bundles_in_use.read_takeover, part=part))
     checks = Preflight(opener)
     checks.open_bundles(config)
+    if behind := _describe_clock(checks.bundles, clock):
+        checks.findings.append(Finding("clock", f"warning: {behind}"))
+        if is_start:
+            log.warning("%s", behind)
     if config.inspection.part is not None and all(finding.error is None for finding in checks.findings):
         selected = _describe_store(config, bundles_in_use.read_selected)
         checks.try_part("part", lambda: _describe_part(config.inspection, checks.bundles, selected))
@@ -196,6 +200,20 @@ def _describe_bundles(one: OpenBundle) -> str:
         f"{manifest.threshold.value:.4g}; {len(bundle.golden)} golden frames score as at the fit "
         f"(within {one.golden_difference:.1e}); {bundle.signature}{f'; {licence}' if licence else ''}"
     )
+
+
+def _describe_clock(bundles: BundleSet, clock: Clock) -> str:
+    """Say that the clock lies before a bundle was made; empty where it does not, by days and up to a zone."""
+    today = date.fromtimestamp(clock.time_ns() / 1e9)
+    for one in bundles.bundles.values():
+        made = one.bundle.manifest.provenance.created
+        with contextlib.suppress(ValueError):
+            if date.fromisoformat(made) > today + timedelta(days=1):
+                return (
+                    f"the clock of this machine says {today}, and bundle {one.part} was made on {made}; set the clock, "
+                    "or presses have wrong times"
+                )
+    return ""
 
 
 def _describe_part(table: InspectionTable, bundles: BundleSet, selected: PartPosition | None) -> str:

@@ -132,6 +132,19 @@ def test_each_bundle_of_a_station_has_its_finding(tmp_path: Path, recording: Pat
     assert "head.onnx has SHA-256" in found[2].text
 
 
+def test_a_clock_from_before_a_bundle_was_made_is_said(
+    config: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A machine whose clock has no battery starts in the past: presses are judged, with wrong times."""
+    assert find(config, "clock") == []
+    monkeypatch.setattr("time.time_ns", lambda: 10**18)  # September 2001
+    (finding,) = find(config, "clock")
+    assert finding.error is None
+    assert finding.text.startswith("warning: the clock of this machine says 2001-09-09, and bundle PZ")
+    with module.preflight(load_config(config), SystemClock()):
+        assert "says 2001-09-09" in caplog.text
+
+
 def test_a_part_without_a_bundle_is_found_by_the_check(tmp_path: Path, recording: Path, bundle: Path) -> None:
     """As at the start, where the part that was selected last comes first: then it is said and no fault."""
     lines = two_parts(tmp_path / "bundles", bundle) + '\npart = "PZ9"'
