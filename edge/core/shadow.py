@@ -6,8 +6,17 @@ from typing import Final
 
 from edge.core.binomial import rate_limits
 from edge.core.printable import write_count
+from edge.core.sentence import Sentence
 
-__all__ = ["LEAST_COMPARED", "LEAST_ON_NEW_GEL", "JudgedTwice", "Weighing", "is_more"]
+__all__ = [
+    "LEAST_COMPARED",
+    "LEAST_ON_NEW_GEL",
+    "JudgedTwice",
+    "Weighing",
+    "describe_new_gel",
+    "describe_way",
+    "is_more",
+]
 
 LEAST_COMPARED: Final = 100
 """Presses that both bundles have judged before one may take the other's place. Where none of 100 sound presses
@@ -180,6 +189,31 @@ class Weighing:
 def is_more(more: int, fewer: int) -> bool:
     """Tell whether equal bundles would differ this much, more presses for one than for the other, seldom by chance."""
     return rate_limits(more, more + fewer, 1 - _MOST_BY_CHANCE)[0] > 0.5
+
+
+def describe_way(failed: int, *, has_shadow: bool) -> Sentence:
+    """Say what is missing until what people call good passes. failed: such presses that the bundle in use failed."""
+    enough = next(number for number in range(1, LEAST_COMPARED) if is_more(number, 0))
+    missing = max(0, enough - failed)
+    if not has_shadow:
+        return Sentence(
+            f"nothing changes by a word alone: learn from it (`gelgate bundle learn`) and name the new bundle as the "
+            f"shadow; more presses that this bundle fails and people call good until it may take over: {missing}, or "
+            f"it waits until both have judged {LEAST_COMPARED}"
+        )
+    return Sentence(
+        f"the shadow takes over on request (`adopt_shadow`); more presses that this bundle fails, the shadow passes "
+        f"and people call good until it may: {missing}, or it waits until both have judged {LEAST_COMPARED}"
+    )
+
+
+def describe_new_gel(good: int) -> Sentence:
+    """Say how many presses of a gel, on which the bundle is not proven, people must call good until it is learnt."""
+    missing = max(0, LEAST_ON_NEW_GEL - good)
+    return Sentence(
+        f"the bundle is not proven on this gel; more of its presses that people call good until it can be learnt "
+        f"(`gelgate bundle learn`): {missing}"
+    )
 
 
 def _count(presses: Collection[JudgedTwice], whose: str, *, passes: bool) -> int:

@@ -21,6 +21,8 @@ from edge.core.person_verdict import (
 )
 from edge.core.press import Press
 from edge.core.sentence import Sentence
+from edge.core.shadow import describe_new_gel, describe_way
+from edge.core.verdict import Kind
 from edge.messaging.command_payloads import CommandArguments, PlainText
 from edge.messaging.payload_base import PressId
 from edge.messaging.status_payloads import Question, QuestionsPayload
@@ -30,6 +32,7 @@ from edge.store.gel_ledger import GelRecord
 from edge.store.gel_proofs import GelBundle, unproven_since, used_since
 from edge.store.person_verdicts import (
     AskedAgain,
+    count_good,
     find_table,
     newest_acts,
     read_askable,
@@ -87,6 +90,7 @@ class PersonVerdicts(PressStage):
         self._escapes: str | None = None
         self._day: date | None = None
         self._next_look_ns = 0
+        self._mounted: Mounted | None = None
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
@@ -96,6 +100,7 @@ class PersonVerdicts(PressStage):
 
     def turn(self, mounted: Mounted | None) -> None:
         """Say which damage has passed, and ask anew, when presses or answers have come. Errors: StoreError."""
+        self._mounted = mounted
         now_ns = self._clock.monotonic_ns()
         if now_ns < self._next_look_ns:
             return
@@ -215,7 +220,24 @@ class PersonVerdicts(PressStage):
             "verdict": table.verdict,
             "is_archived": self._is_archived(press_id, table.evidence),
             "earlier": [f"{one.person}: {one.saying}" for one in earlier],
+            "remarks": self._say_way(press_id, table.verdict) if arguments.verdict == "good" else [],
         }
+
+    def _say_way(self, press_id: str, verdict: str | None) -> list[Sentence]:
+        """Say what must come until a good press passes that did not; nothing of one that passed where the bundle is
+        proven."""
+        mounted = self._mounted
+        if mounted is None:
+            return []
+        key = GelBundle(mounted.serial, mounted.gel_id, mounted.bundle_id)
+        since_ns = self._store.read("reading when the bundle was first used", partial(used_since, key=key))
+        unproven_ns = self._store.read("reading the proof on this gel", partial(unproven_since, key=key))
+        query = partial(count_good, part=mounted.part, gel=key[:2], since_ns=since_ns or 0, press_id=press_id)
+        good, failed = self._store.read("counting what people call good", query)
+        if unproven_ns is not None:
+            return [describe_new_gel(good)]
+        has_shadow = self._selection.shadow is not None
+        return [] if verdict == Kind.PASS.value else [describe_way(failed, has_shadow=has_shadow)]
 
     def _is_archived(self, press_id: str, evidence: bytes | None) -> bool:
         """Say whether its record, and all that it names, is there still."""
@@ -232,7 +254,7 @@ class PersonVerdicts(PressStage):
             _confirm,
             "a person says what a press was, beside the verdict of the station, which stays; the newest word of each "
             "person counts, and where two contradict each other nobody can tell. `earlier`: what was said before; "
-            "`is_archived`: whether the press can still be replayed",
+            "`is_archived`: whether the press can still be replayed; `remarks`: what must come until a good one passes",
             "what the bundle in use is trusted with on a new gel",
         ),
     )

@@ -9,7 +9,8 @@ from collections import defaultdict
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
-from edge.core.person_verdict import Asked, PersonVerdict
+from edge.core.part_position import PartPosition
+from edge.core.person_verdict import Asked, PersonVerdict, settle
 from edge.store.acts import ASK_AGAIN, CONFIRM, Act
 from edge.store.press_store import Store
 
@@ -17,6 +18,7 @@ __all__ = [
     "AskedAgain",
     "Found",
     "ask_again",
+    "count_good",
     "find_table",
     "newest_acts",
     "read_askable",
@@ -96,6 +98,21 @@ def read_passed(connection: sqlite3.Connection, press_ids: Iterable[str]) -> lis
         "ORDER BY number"
     )
     return [press_id for (press_id,) in connection.execute(query, (json.dumps(list(press_ids)),))]
+
+
+def count_good(
+    connection: sqlite3.Connection, part: PartPosition, gel: tuple[str, str], since_ns: int, press_id: str
+) -> tuple[int, int]:
+    """Count the presses of a part on a gel since then that people call good, and those of them that did not pass. gel:
+    serial and id. press_id: one that somebody calls good now."""
+    settled = {key: settle(words) for key, words in read_verdicts(connection, since_ns).items()}
+    good = {press_id} | {key for key, word in settled.items() if word is not None and word.saying == "good"}
+    query = (
+        "SELECT count(*), coalesce(sum(verdict <> 'pass'), 0) FROM presses WHERE part = ? AND position IS ? "
+        "AND serial = ? AND gel_id = ? AND time_ns >= ? AND press_id IN (SELECT value FROM json_each(?))"
+    )
+    row = connection.execute(query, (*part, *gel, since_ns, json.dumps(sorted(good)))).fetchone()
+    return int(row[0]), int(row[1])
 
 
 def read_askable(connection: sqlite3.Connection, after: int, most: int) -> list[tuple[int, Asked]]:

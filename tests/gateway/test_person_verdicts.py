@@ -85,6 +85,27 @@ def test_a_press_whose_archive_is_gone_is_not_archived(played: SteppedStation, r
     assert response["data"]["is_archived"] is False
 
 
+def test_a_good_word_says_what_must_come_until_such_a_press_passes(played: SteppedStation) -> None:
+    """On the gel of the bundle: good presses that it fails, for a takeover, or time. On another gel: good presses of
+    it, for learning, of whatever verdict. Of a pass nothing has to come."""
+    dented, passed = (played.results[k].press_id for k in (2, 0))
+    confirm = say(played)
+
+    def remark(press_id: str) -> list[str]:
+        response: Any = confirm(press_id=press_id, verdict="good")
+        settle(played)
+        return list(response["data"]["remarks"])
+
+    first, again = remark(dented), remark(dented)
+    assert remark(passed) == []
+    assert "`gelgate bundle learn`" in first[0]
+    assert "until it may take over: 4, or it waits until both have judged 100" in first[0]
+    assert again == first
+    execute(played.parts.store.path, "UPDATE gel_proofs SET proven = NULL")
+    assert [remark(press_id)[0][-3:] for press_id in (dented, passed)] == [": 2", ": 2"]
+    assert "is not proven on this gel" in remark(passed)[0]
+
+
 @pytest.fixture(scope="module")
 def say_wrong(
     tmp_path_factory: pytest.TempPathFactory, recording: Path, bundle: Path
@@ -111,6 +132,7 @@ def test_a_word_is_kept_beside_the_verdict_and_the_press_is_not_asked_for_again(
         "verdict": "fail",
         "is_archived": True,
         "earlier": [],
+        "remarks": [],
     }
     assert again["data"]["earlier"] == ["kim: damaged"]  # type: ignore[index]
     after = played.said("questions")

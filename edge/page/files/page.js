@@ -521,7 +521,8 @@ at("what-form").onsubmit = (event) => {
   change(event.submitter, "confirm_press", { press_id, verdict, ...(kind && verdict === "damaged" ? { kind } : {}) },
     (data) => [t("Kept: {what}. The station had said: {verdict}.", { what: t(verdict.replace("_", " ")) + (kind && verdict === "damaged" ? `, ${kind}` : ""), verdict: t(data.verdict) }),
       data.earlier.length && t("Said before: {earlier}.", { earlier: data.earlier.join(", ") }),
-      !data.is_archived && t("It is not archived, so nothing can be learnt from it.")].filter(Boolean).join(" "));
+      !data.is_archived && t("It is not archived, so nothing can be learnt from it."),
+      ...(data.remarks || []).map(tell).map((said) => `${said[0].toUpperCase()}${said.slice(1)}.`)].filter(Boolean).join(" "));
 };
 
 // A cable that is pulled ends no request: without a limit the last verdict would stay as if it were of now.
