@@ -4,7 +4,7 @@ Both ways to a new bundle are asked: `learn`, which writes it, and a shadow, whi
 """
 
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
@@ -19,16 +19,19 @@ from station import variant
 from calibration.fitting.learn import Comparison, ConfirmedPresses, judge_presses, read_confirmed
 from edge.core.errors import FitError
 from edge.core.part_position import PartPosition
+from edge.core.person_verdict import settle
 from edge.core.press import Press, ShadowVerdict
 from edge.core.shadow import Weighing
 from edge.model.bundle import Bundle
 from edge.store.acts import CONFIRM, Act
+from edge.store.person_verdicts import read_verdicts
 from edge.store.press_archive import ArchiveFolder
 from edge.store.press_store import Store
 from edge.store.shadow_verdicts import read_judged_twice
 
 PART = PartPosition("bolt", "default")
 DENTED = (2, 4)
+GEL, PROVEN = "TEST0001-1", "first use"
 FACTORS = (0.7, 1.0, 1.5)
 """Of the old limit: one fails sound presses, one is the same, one passes the dents."""
 
@@ -44,6 +47,7 @@ class Operation(NamedTuple):
 
     database: Path
     ids: list[str]
+    bundle_id: str
     judged: Mapping[float, Mapping[str, Press]]
 
 
@@ -61,7 +65,7 @@ def operation(inspected: Judged, tmp_path_factory: pytest.TempPathFactory) -> Op
         bundle = Bundle.load(variant(old, station.folder / f"limit {factor}", threshold=changed))
         judged[factor] = judge_presses(bundle, presses, database, 1)
     assert [judged[1.5][inspected.ids[number]].word for number in DENTED] == ["pass", "pass"]
-    return Operation(database, inspected.ids, judged)
+    return Operation(database, inspected.ids, Bundle.load(old).digest, judged)
 
 
 # Most are of the dents, and sure: so that several persons speak of one of them.
@@ -82,14 +86,25 @@ answers = st.lists(
 def test_no_named_damage_passes_without_a_message_that_names_it(
     operation: Operation, given_answers: list[Answer], factor: float, data: st.DataObject
 ) -> None:
-    """Up to every fifth answer is wrong; persons contradict themselves and each other, and an archive has gaps."""
+    """Up to every fifth answer is wrong; persons contradict themselves and each other, an archive has gaps, and presses
+    are of a gel before, or were made with another bundle. Damage on which they agree is refused."""
     most_wrong = len(given_answers) // 5
     positions = st.integers(0, len(given_answers) - 1)
     wrong = data.draw(st.sets(positions, min_size=1, max_size=most_wrong))
     gap = data.draw(st.sampled_from([None, *DENTED]))
-    database, ids, judged = operation
+    is_new_gel, numbers = data.draw(st.booleans()), st.sets(st.integers(0, 5))
+    earlier_gel, earlier_bundle = data.draw(numbers), data.draw(numbers)
+    database, ids, _, judged = operation
     named = set()
-    execute(database, "DELETE FROM acts")
+    execute(
+        database,
+        "DELETE FROM acts",
+        f"UPDATE gel_proofs SET proven = {'NULL' if is_new_gel else repr(PROVEN)}",
+        *(
+            f"UPDATE presses SET gel_id = '{'earlier' if number in earlier_gel else GEL}' WHERE press_id = '{press_id}'"
+            for number, press_id in enumerate(ids)
+        ),
+    )
     with Store(database) as store:
         for number, answer in enumerate(given_answers):
             is_damaged = (answer.press in DENTED) != (number in wrong)
@@ -105,8 +120,8 @@ def test_no_named_damage_passes_without_a_message_that_names_it(
     if gap is not None:
         record.rename(hidden)
     try:
-        learnt = _learn(operation, judged[factor])
-        taken = _take_over(operation, factor, is_new_gel=data.draw(st.booleans()))
+        learnt, is_refused = _learn(operation, judged[factor])
+        taken = _take_over(operation, factor, earlier_bundle, is_new_gel=is_new_gel)
     finally:
         if gap is not None:
             hidden.rename(record)
@@ -115,11 +130,16 @@ def test_no_named_damage_passes_without_a_message_that_names_it(
     event(f"{len(at_risk)} named damages would pass")
     assert [press_id for press_id in at_risk if press_id not in learnt] == []
     assert [press_id for press_id in at_risk if press_id not in taken] == []
+    with closing(sqlite3.connect(database)) as connection:
+        words = read_verdicts(connection)
+    held = [key for key in at_risk if (word := settle(words[key])) is not None and word.saying == "damaged"]
+    known = [key for key in held if gap is None or key != ids[gap]]
+    assert is_refused or not known, "a damage that people agree on is lost, and the bundle is written"
 
 
-def _learn(operation: Operation, after: Mapping[str, Press]) -> str:
-    """Everything that `bundle learn` says of a bundle that judges so."""
-    found = read_confirmed(operation.database, PART, "")
+def _learn(operation: Operation, after: Mapping[str, Press]) -> tuple[str, bool]:
+    """Everything that `bundle learn` and `teach --take` say of a bundle that judges so, and whether they refuse it."""
+    found = read_confirmed(operation.database, PART, operation.bundle_id)
     before = operation.judged[1.0]
     known = {one.press.press_id for one in (*found.good, *found.damaged)} | {
         one.press_id for one in found.others
@@ -133,17 +153,18 @@ def _learn(operation: Operation, after: Mapping[str, Press]) -> str:
     try:
         comparison.check()
     except FitError as error:
-        said.append(str(error))
-    return "\n".join(said)
+        return "\n".join([*said, str(error)]), True
+    return "\n".join(said), False
 
 
-def _take_over(operation: Operation, factor: float, *, is_new_gel: bool) -> str:
-    """Everything that `adopt_shadow` says of a shadow that judges so; the first two presses came before it."""
+def _take_over(operation: Operation, factor: float, earlier: Collection[int], *, is_new_gel: bool) -> str:
+    """Everything that `adopt_shadow` says of a shadow that judges so; the first two presses came before it, and the
+    earlier ones it has judged beside another bundle."""
     with closing(sqlite3.connect(operation.database)) as connection:
         connection.execute("UPDATE presses SET shadow = NULL")
-        for press_id in operation.ids[2:]:
+        for number, press_id in enumerate(operation.ids[2:], 2):
             press = operation.judged[factor][press_id]
-            said = ShadowVerdict("new", "old", press.word, press.score, 1.0)
+            said = ShadowVerdict("new", "older" if number in earlier else "old", press.word, press.score, 1.0)
             connection.execute("UPDATE presses SET shadow = ? WHERE press_id = ?", (said.encode(), press_id))
         both, missing = read_judged_twice(connection, PART, "new", "old")
     weighing = Weighing(both, [one.press_id for one in missing], is_new_gel=is_new_gel)
