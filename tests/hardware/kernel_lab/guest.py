@@ -9,6 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[3]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests/support"), str(Path(__file__).parent)]
 
+from power_cut import BUGS, check_power_cuts, find_planted  # noqa: E402
 from small_recordings import PRODUCT, SERIAL, jpeg  # noqa: E402
 from usbip import UsbIpPort  # noqa: E402
 
@@ -116,11 +117,17 @@ CHECKS: tuple[tuple[str, Callable[[], None]], ...] = (
     ("unplug from libusb", lambda: unplug("uvc")),
     ("unplug from V4L2", lambda: unplug("v4l2")),
     ("reset", reset),
+    ("power cuts", check_power_cuts),
+    ("power cuts without a sync of the database", lambda: find_planted(BUGS[0])),
+    ("power cuts without a sync of the file", lambda: find_planted(BUGS[1])),
 )
 
 
 def main() -> None:
+    words = " ".join(sys.argv[1:])
     for name, check in CHECKS:
+        if not name.startswith(words):
+            continue
         start = time.monotonic()
         try:
             check()
