@@ -1,6 +1,9 @@
 """The station in a simulated world, a few seeds of it: docs/simulation.md; `make sim` goes on with new ones."""
 
 import multiprocessing
+import os
+import random
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -10,10 +13,12 @@ from pathlib import Path
 import pytest
 from simulation.bundles import both_bundles
 from simulation.chosen import Chosen, Fault
+from simulation.disk import Disk, hear_audits
 from simulation.failed import FAILED
 from simulation.planted import ROOT
 from simulation.planted_bugs import BUGS, Bug
 from simulation.planted_by_others import BY_OTHERS
+from simulation.power import listening
 from simulation.schedule import Simulation
 from simulation.search import Player, play_all
 from simulation.shrinking import Failure, kind_of, shrink
@@ -57,6 +62,31 @@ def test_a_seed_gives_the_same_run_again(bundles: list[Path], tmp_path: Path) ->
     assert (first.events, first.reached, first.turns) == (second.events, second.reached, second.turns)
     assert any("killed" in event for event in first.events)
     assert first.schedule
+
+
+def test_a_loss_of_power_takes_what_a_kernel_takes(tmp_path: Path) -> None:
+    """As in the kernel lab: a file that replaced another has the old content, the new one, a part of it, or none."""
+    folder, copy = tmp_path / "station", tmp_path / "after"
+    folder.mkdir()
+    (folder / "file").write_bytes(b"old")
+    states = set()
+    disk = Disk(folder)
+    with listening(folder) as disk.unsynced:
+        disk.unsynced.start_again()
+        hear_audits(disk)
+        (folder / "part").write_bytes(bytes([1]) * 1024)
+        os.replace(folder / "part", folder / "file")
+        for seed in range(100):
+            shutil.copytree(folder, copy)
+            disk.unsynced.lose(copy, random.Random(seed))
+            states.add(tuple((path.name, path.read_bytes().rstrip(b"\0")) for path in sorted(copy.iterdir())))
+            shutil.rmtree(copy)
+        hear_audits(None)
+    new = bytes([1]) * 1024
+    contents = (new, new[:512], bytes(512) + new[:512], b"")
+    renamed = {(("file", content),) for content in contents}
+    unnamed = {(("file", b"old"), ("part", content)) for content in contents}
+    assert states == renamed | unnamed | {(("file", b"old"),)}
 
 
 def plant(monkeypatch: pytest.MonkeyPatch) -> None:
