@@ -12,6 +12,7 @@ from typing import Final
 from edge.core.contact.events import (
     Event,
     PressBegan,
+    PressEnded,
     PressNotSettled,
     PressSettled,
     ReferenceCorrected,
@@ -82,6 +83,7 @@ class InspectionSession:
         self._waiting: deque[WaitingPress] = deque()
         self._ahead_ns = 0  # the time of the frame at which a press was last scored ahead
         self._uncounted = 0  # presses for which there was no room to wait
+        self._is_kept = False  # the picture of the free gel, as one that is known to be so
         stored, bundle = references.load_picture(gel.serial, gel.gel_id, "last"), inspector.bundle
         self._detector = PressDetector(bundle.profile, settings, stored, bundle.free_reference)
         for stage in stages:
@@ -293,6 +295,9 @@ class InspectionSession:
             case ReferenceRefreshed():
                 self._follow_light()
                 self._measure_wear()
+            case PressEnded():
+                if self._detector.tracker.is_confirmed and not self._is_kept:
+                    self._keep_picture()
         for stage in self._stages:
             stage.see(event)
 
@@ -326,13 +331,22 @@ class InspectionSession:
         first = self._references.load_picture(serial, gel_id, "first")
         return free if first is None else first.view
 
+    def _keep_picture(self) -> None:
+        """Keep the picture of the free gel; with one that may be of a pressed gel the next start compares nothing."""
+        tracker = self._detector.tracker
+        if tracker.reference is not None:
+            self._is_kept = tracker.is_confirmed
+            self._references.save_picture(
+                self.gel.serial, self.gel.gel_id, tracker.reference, is_confirmed=self._is_kept
+            )
+
     def _measure_wear(self) -> None:
         """The gel is free: keep its picture, and compare it with the first of this gel."""
         reference = self._detector.tracker.reference
         if reference is None:
             return
         serial, gel_id = self.gel.serial, self.gel.gel_id
-        self._references.save_picture(serial, gel_id, reference)
+        self._keep_picture()
         first = self._references.load_picture(serial, gel_id, "first")
         for stage in self._stages:
             stage.learn(None if first is None else first.view)

@@ -42,6 +42,21 @@ def test_nothing_is_scored_until_the_free_gel_was_seen(tmp_path: Path, pressed: 
         assert np.load(path).std() < 20
 
 
+def test_two_starts_on_one_part_do_not_prove_each_other_right(
+    tmp_path: Path, pressed: Path, bundle: Path
+) -> None:
+    """What the first one learnt was not known to be a free gel, so the second one does not compare with it."""
+    old = variant(bundle, tmp_path / "old", free_view=None)
+    (old / "free_view.png").unlink()
+    config = station_config(tmp_path, pressed, old)
+    with SteppedStation(config) as station:
+        station.play_until(lambda: bool(list(tmp_path.glob("gelgate.references/*/*.first.npy"))))
+        assert station.said("state")["state"] == "ready"
+    with SteppedStation(config) as station:
+        station.play()
+    assert station.verdicts == ["pass", "pass"]
+
+
 def test_the_bundles_free_gel_notices_it_at_once(tmp_path: Path, pressed: Path, bundle: Path) -> None:
     """No alarm is needed: the state is that the station waits for the free gel."""
     with SteppedStation(station_config(tmp_path, pressed, bundle)) as station:

@@ -126,9 +126,15 @@ class ContactTracker:
         return self._track.has_contact
 
     @property
+    def is_confirmed(self) -> bool:
+        """True once the reference is known to be of the free gel: it agrees with an earlier one, or a press has added
+        structure to it and gone."""
+        return self._track.is_confirmed
+
+    @property
     def light(self) -> Light | None:
         """Return that of the free gel, once it was learnt here and is known to be one."""
-        return self._light if self._track.is_confirmed else None
+        return self._light if self.is_confirmed else None
 
     @property
     def phase(self) -> Phase:
