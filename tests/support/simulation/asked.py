@@ -110,13 +110,14 @@ def press_master(run: "Simulation", rng: random.Random) -> float:
     hand = run.world.hand
     if REFERENCE not in run.chosen.features:
         return 60.0
-    if hand.press is not None or hand.is_pressing_soon or hand.is_done or run.world.sensor.is_behind:
+    if hand.press is not None or hand.is_done or run.world.sensor.is_behind:
         return 0.1
+    hand.wait(0.4)
     try:
         run.station.ask(REFERENCE, piece=MASTER, restart=rng.random() < 0.1)
     except (ValueError, GelgateError) as error:  # something presses still, or no frame has come
         run.note(f"no press of the master piece: {error}")
-        return 0.5
+        return 0.1
     hand.master_ns = run.world.clock.now_ns
     run.reach("a master piece was asked for")
     run.note("the master piece is next")

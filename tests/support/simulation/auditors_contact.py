@@ -93,8 +93,8 @@ def _audit_press(press: MadePress, said: set[str]) -> Iterator[str]:
 
 
 def audit_lifts(world: World, station: Station) -> Iterator[str]:
-    """A part may be lifted when its press is recorded, and not by the verdict of another. A process that was frozen
-    shows what its loop has said within the last second."""
+    """A part may be lifted when its press is recorded, and not by the verdict of another that the station has noticed.
+    A process that was frozen shows what its loop has said within the last second."""
     for one in world.relay.switched:
         if one.channel != LIFT:
             continue
@@ -105,7 +105,8 @@ def audit_lifts(world: World, station: Station) -> Iterator[str]:
         ][-1:]
         own = [seen for seen in station.seen if begun and begun[0].begin_ns <= seen.noted_ns <= one.told_ns]
         why = begun[0].why if begun else set()
-        is_of_before = "process frozen" in why and one.told_ns - begun[0].begin_ns < UNHEARD_S * S
+        noticed_s = UNHEARD_S if "process frozen" in why else world.noticed_s
+        is_of_before = bool(begun) and one.told_ns - begun[0].begin_ns < noticed_s * S
         if not (
             own
             or is_of_before
