@@ -70,7 +70,7 @@ def _describe(topic: str, content_type: str, payload: bytes) -> tuple[str, str]:
 
 def audit_file(station: Station) -> Iterator[str]:
     """The file has each result, in order, and no line that is not JSON; but for what was dropped or lost before."""
-    if len(station.config.sinks) == len(station.world.brokers):
+    if all(sink.plugin != "jsonl" for sink in station.config.sinks):
         return
     path = station.disk.folder / MESSAGES / "messages.jsonl"
     lines = path.read_bytes().splitlines() if path.exists() else []

@@ -101,6 +101,8 @@ class Chosen:
     """The order of a plan of places, `fixed` or `free`; empty for none. A PLC begins the pieces, else a person."""
     meetings: tuple[tuple[str, ...], ...] = ()
     """Faults that come often while it is their turn."""
+    has_page: bool = False
+    """A browser asks it all the time."""
     forgets: bool = False
     """Each broker restarts without its memory when all faults have ended."""
     features: tuple[str, ...] = ()
@@ -137,7 +139,7 @@ class Chosen:
             plc,
             piece,
             tuple(MEETINGS[(seed + step) % len(MEETINGS)] for step in MEETING_STEPS),
-            seed % 2 == 0,
+            forgets=seed % 2 == 0,
         )
         # People cost little: somebody always asks, and selects where neither a plan nor a PLC does.
         rates["request"] = 4.0
@@ -157,5 +159,6 @@ class Chosen:
         own = random.Random(f"{seed} chosen later")
         rates |= {name: own.choice((1.0, 4.0)) for name in LATER if name in names and own.random() < 0.15}
         rates.setdefault("hang up", 1.0)
+        chosen = replace(chosen, has_page=own.random() < 0.25)
         disturbed = {"second plc": 1.0, **rates, "plc": 6.0}
         return replace(chosen, rates=disturbed) if chosen.plc and "plc" in names else chosen

@@ -14,6 +14,7 @@ from simulation.plc import STEPS
 from simulation.plc_lines import PORTS
 from simulation.shelf import BROKEN
 from simulation.surroundings import World
+from simulation.web import GUESSES
 
 SOMETIMES = (
     *(
@@ -117,6 +118,7 @@ SOMETIMES = (
     "the loop waited for a database that was locked",
     *(f"a bundle was {kind}{when}" for kind in ("newer", *BROKEN) for when in ("", " during a press")),
     "a start was refused for its bundle",
+    *(f"the page was asked {how}" for how in (*sorted(GUESSES), "with its token")),
 )
 
 

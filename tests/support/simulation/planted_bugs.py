@@ -421,4 +421,18 @@ BUGS = (
         "                        if False\n",
         "is still raised|retains the state|was to be opened",
     ),
+    Bug(
+        "a page keeps its verdict over a halt",
+        "edge/page/shown.py",
+        "                    self._forget_verdict()\n                self._status[message.topic] = status\n",
+        "                    pass\n                self._status[message.topic] = status\n",
+        "the page shows a pass of press .*, and the station was not ready",
+    ),
+    Bug(
+        "a page takes requests of other pages",
+        "edge/page/changes.py",
+        '    if site not in ("same-origin", "none") or (origin is not None and _origin(origin) != own):\n',
+        '    if site not in ("same-origin", "none"):\n',
+        "a request of another page is answered by 200",
+    ),
 )

@@ -19,6 +19,7 @@ from edge.core.errors import BundleError, ConfigError, StoreError
 from simulation.asked import TABLE as MASTER_TABLE
 from simulation.auditors import CALM_S, audit_end, audit_now, audit_replay
 from simulation.auditors_outbox import ARCHIVED
+from simulation.auditors_page import audit_guesses, audit_page
 from simulation.auditors_pieces import audit_pieces
 from simulation.auditors_retained import audit_retained
 from simulation.chosen import MET, OVERVIEW, REFERENCE, TURN_S, Chosen, Fault, is_small
@@ -36,6 +37,7 @@ from simulation.sensor import S
 from simulation.shelf import Shelf
 from simulation.surroundings import World, reading_log
 from simulation.threads import Actor, Threads
+from simulation.web import PAGE, TOKEN, Browser
 
 CONFIG = """
 version = 1
@@ -111,11 +113,14 @@ class Simulation:
         self._disk = folder / "disk"
         self._disk.mkdir(parents=True)
         self._config, self._secret = folder / "gelgate.toml", folder / "commands.key"
-        self._secret.write_text(SECRET)
-        self._secret.chmod(0o600)
+        self._token = folder / "page.token"
+        for file, content in ((self._secret, SECRET), (self._token, TOKEN)):
+            file.write_text(content)
+            file.chmod(0o600)
         self.world.shelf = Shelf(folder / "bundles", bundles)
         self._bundles, self.order = self.world.shelf.paths, list(self.world.brokers)
         self.station = Station(self.world, self._disk, self._read_config)
+        self.browser = Browser(self, random.Random(f"{seed} browser"))
         self._calm_ns: int | None = None
         self._asked_ns = 0
         self.ending: dict[str, Callable[[], None]] = {}
@@ -151,6 +156,7 @@ class Simulation:
                 self._turn()
             if not self.run.faults:
                 self.run.faults += audit_end(self.world, self.station)
+                self.run.faults += audit_guesses(self.station, self.browser)
                 self.run.faults += audit_replay(self.world, self.station, self.world.shelf.replayed)
             self.run.reached.update(set(reached_at_end(self.world, self.station)))
             self.run.counted["presses"] += len(self.world.hand.presses)
@@ -187,6 +193,7 @@ class Simulation:
         if camera.due_ns <= now_ns:
             actor = camera
             self.run.faults += audit_now(self.world, self.station)
+            self.run.faults += audit_page(self.world, self.station, self.browser)
         else:
             ready = [actor for actor in self._actors if actor.due_ns <= now_ns]
             actor = ready[0] if len(ready) == 1 else self.rng.choice(ready)
@@ -418,6 +425,7 @@ class Simulation:
         text += MASTER_TABLE if REFERENCE in self.chosen.features else ""
         text += HANDSHAKE if self.world.has_plc else ""
         text += FILE.format(folder=self._disk / MESSAGES) if self.chosen.has_file else ""
+        text += PAGE.format(file=self._token) if self.chosen.has_page else ""
         self._config.write_text(text)
         config = load_config(self._config)
         store = config.store.model_copy(update={"outbox_mb": self.chosen.outbox_mb})

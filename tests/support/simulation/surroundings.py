@@ -223,7 +223,8 @@ def install_plugins(folder: Path) -> Iterator[None]:
         "handshakes": "simulation.plc:server_plugin",
     }
     lines = (f"[gelgate.{group}]\nsimulated = {place}\n" for group, place in places.items())
-    (info / "entry_points.txt").write_text("".join(lines))
+    page = "[gelgate.sinks]\nsimulated_page = simulation.web:page_plugin\n"
+    (info / "entry_points.txt").write_text("".join(lines).replace("[gelgate.sinks]\n", page))
     sys.path.insert(0, str(folder))
     registry._installed.cache_clear()
     registry._points.cache_clear()

@@ -63,6 +63,10 @@ class Threads:
             threads.append(Actor("snapshots", self._write_snapshots))
         if OVERVIEW in run.chosen.features:
             threads.append(Actor("overview", self._look_over))
+        if run.chosen.has_page:
+            for name, turn in {"page": partial(self._publish, "page"), "browser": run.browser.act}.items():
+                turns = connections.turns[name] = Turns(turn)
+                threads.append(Actor(name, turns.act))
         connections.on_news = self._wake_waiting
         self.own = threads
         plcs = [Actor("plc", plc.act) for plc in run.world.plcs]
@@ -197,7 +201,8 @@ class Threads:
 
     def _publish(self, name: str) -> float:
         workers = self._run.station.loop.parts.publisher.workers
-        worker = list(workers.values())[[*self._run.order, "file"].index(name)]
+        others = ["file"] * self._run.chosen.has_file + ["page"] * self._run.chosen.has_page
+        worker = list(workers.values())[[*self._run.order, *others].index(name)]
         pause_s = worker.step()
         return pause_s if not worker.counters.is_up else min(pause_s, 0.2 + self._lag(0.2))
 
