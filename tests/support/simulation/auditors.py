@@ -136,6 +136,9 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from audit_overloads(world, station)
     yield from audit_answers(world, station, found)
     yield from audit_judges(world, station)
+    for seen in station.seen:
+        if seen.frame_ns in world.sensor.others and seen.word in ("pass", "fail"):
+            yield f"press {seen.press_id} was judged by a frame of a second sensor"
     yield from audit_pieces(world, station)
     yield from audit_retained(world, station)
     yield from audit_late(world, station)

@@ -54,7 +54,7 @@ MEETING_STEPS = (0, 5, 9, 12)
 TURN_S, MET = 12, 12.0
 """A turn lasts so long at most; and of each fault of a meeting there are so many in a minute of it."""
 
-LATER = ("lock database", "exchange bundle")
+LATER = ("lock database", "exchange bundle", "second sensor")
 """Faults that do not change what else a seed draws."""
 
 WORK = (
@@ -101,6 +101,8 @@ class Chosen:
     """The order of a plan of places, `fixed` or `free`; empty for none. A PLC begins the pieces, else a person."""
     meetings: tuple[tuple[str, ...], ...] = ()
     """Faults that come often while it is their turn."""
+    has_serial: bool = False
+    """The configuration names the sensor."""
     has_page: bool = False
     """A browser asks it all the time."""
     forgets: bool = False
@@ -159,6 +161,6 @@ class Chosen:
         own = random.Random(f"{seed} chosen later")
         rates |= {name: own.choice((1.0, 4.0)) for name in LATER if name in names and own.random() < 0.15}
         rates.setdefault("hang up", 1.0)
-        chosen = replace(chosen, has_page=own.random() < 0.25)
+        chosen = replace(chosen, has_page=own.random() < 0.25, has_serial=own.random() < 0.5)
         disturbed = {"second plc": 1.0, **rates, "plc": 6.0}
         return replace(chosen, rates=disturbed) if chosen.plc and "plc" in names else chosen

@@ -118,6 +118,11 @@ SOMETIMES = (
     "the loop waited for a database that was locked",
     *(f"a bundle was {kind}{when}" for kind in ("newer", *BROKEN) for when in ("", " during a press")),
     "a start was refused for its bundle",
+    *(
+        f"a second sensor was beside {whose}, {what}"
+        for whose in ("one that is named", "any")
+        for what in ("stays", "first is unplugged", "restart")
+    ),
     *(f"the page was asked {how}" for how in (*sorted(GUESSES), "with its token")),
 )
 

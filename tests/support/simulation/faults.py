@@ -11,6 +11,7 @@ from simulation.outputs import LAMP
 from simulation.overview_camera import disturb_overview
 from simulation.people import PEOPLE
 from simulation.plc import STEPS, Server
+from simulation.second_sensor import plug_second
 from simulation.sensor import OTHER_SERIAL, SERIAL, S
 from simulation.shelf import exchange_bundle
 
@@ -427,6 +428,7 @@ FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "bad disk": bad_disk,
     "lock database": lock_database,
     "exchange bundle": exchange_bundle,
+    "second sensor": plug_second,
     "step clock": step_clock,
     "stop": stop,
     "lose database": lose_database,
@@ -534,6 +536,7 @@ WAIT_FIRST = {"step clock", "silence", "blind", "hold back", "unplug", "begin pi
 
 NEEDS_ANSWER = {
     "stop",
+    "second sensor",
     "exchange bundle",
     "lock database",
     "lose database",

@@ -128,6 +128,11 @@ class Hand:
         return self._phase[0] >= 1.0
 
     @property
+    def depth(self) -> float:
+        """How deep the part lies now."""
+        return self._phase[0]
+
+    @property
     def free_s(self) -> float:
         """The gel is free for so long from now on, where it is not pressed."""
         return len(self._phases) * self._period_s

@@ -14,5 +14,11 @@ MEMORY = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
 """A disk that takes no time, where there is one; what is lost with the power is known by what was synced."""
 
 
+class SensorOptions(BaseModel):
+    """serial: of the station's own sensor; None for the only one."""
+
+    serial: str | None = None
+
+
 class NoOptions(BaseModel):
     """Nothing is asked."""

@@ -422,6 +422,13 @@ BUGS = (
         "is still raised|retains the state|was to be opened",
     ),
     Bug(
+        "of two sensors one is taken",
+        "plugins/devices/uvc/identity.py",
+        "    if len(chosen) == 1:\n        return chosen[0]\n",
+        "    if chosen:\n        return chosen[-1]\n",
+        "of a second sensor|another sensor than",
+    ),
+    Bug(
         "a page keeps its verdict over a halt",
         "edge/page/shown.py",
         "                    self._forget_verdict()\n                self._status[message.topic] = status\n",

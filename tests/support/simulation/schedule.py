@@ -33,7 +33,7 @@ from simulation.overview_camera import TABLE as OVERVIEW_TABLE
 from simulation.pieces import PIECE
 from simulation.plc import HANDSHAKE
 from simulation.power import listening
-from simulation.sensor import S
+from simulation.sensor import SERIAL, S
 from simulation.shelf import Shelf
 from simulation.surroundings import World, reading_log
 from simulation.threads import Actor, Threads
@@ -43,6 +43,7 @@ CONFIG = """
 version = 1
 [device]
 plugin = "simulated"
+{sensor}
 [inspection]
 threads = 1
 part = "PZ0/pos1"
@@ -383,6 +384,9 @@ class Simulation:
         """Begin the next life, with the station's own sensor; the service manager starts again what cannot start."""
         if "another sensor" in self.ending:
             self.ending.pop("another sensor")()
+        # A station that names none takes the only one that is plugged in.
+        if not (self.world.sensor.is_plugged or self.chosen.has_serial) and "second sensor" in self.ending:
+            self.ending.pop("second sensor")()
         try:
             self.station.open()
         except (StoreError, BundleError, ConfigError) as error:
@@ -418,6 +422,7 @@ class Simulation:
             trigger=self.chosen.trigger,
             shadows=shadows,
             more=", ".join(f'"{name}"' for name in self.chosen.features if name != OVERVIEW),
+            sensor=f'options = {{ serial = "{SERIAL}" }}' if self.chosen.has_serial else "",
         )
         text += TABLES + "".join(SINK.format(name=name, at_once_s=AT_ONCE_S) for name in self.order)
         text += PIECE.format(order=self.chosen.piece) if self.world.has_pieces else ""

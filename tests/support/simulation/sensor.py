@@ -3,13 +3,16 @@
 import random
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
-from edge.core.errors import DeviceLost, DeviceNotFound, DeviceStalled, FrameCorrupt
+from edge.core.errors import DeviceLost, DeviceStalled, FrameCorrupt
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock, DeviceIdentity, DiscoveredDevice
+from plugins.devices.uvc.identity import SensorOnBus, choose
 from simulation.hand import SIZE, Hand, pictures
-from simulation.options import NoOptions
+from simulation.options import SensorOptions
+from simulation.second_sensor import OpenSecond
 
 if TYPE_CHECKING:
     from simulation.surroundings import SimulatedClock
@@ -50,6 +53,10 @@ class Sensor:
         """Faults of now: a press that meets one may be lost."""
         self.dim_until_ns = 0
         """Until then a press may count as one with that before the interruption (docs/contact.md)."""
+        self.has_second = False
+        """An equal one is plugged in too."""
+        self.others: list[int] = []
+        """The times of frames that the station has read from it."""
         self.openings = 0
         self.keeps_oldest = rng.random() < 0.5
         """Of frames that nobody reads; otherwise the newest."""
@@ -64,6 +71,10 @@ class Sensor:
         """Who is on the bus now."""
         fps = round(S / self.period_ns, 2)
         return DeviceIdentity("GelSight Mini R0B SIM0-0001", self.serial, SIZE, fps)
+
+    def identify_second(self) -> DeviceIdentity:
+        """Who is beside it."""
+        return replace(self.identity, product="GelSight Mini R0B SIM0-0002", serial=OTHER_SERIAL)
 
     def make(self, is_ready: bool) -> None:
         """The camera makes a frame of what is on the gel now. is_ready: what the person sees of the station."""
@@ -165,16 +176,17 @@ class OpenSensor:
 class SensorPlugin:
     """The sensor of the run."""
 
-    Options = NoOptions
+    Options = SensorOptions
 
-    def discover(self, options: NoOptions) -> Sequence[DiscoveredDevice]:
-        here = Sensor.now.identity
-        return [DiscoveredDevice("simulated", here.product, here)] if Sensor.now.is_plugged else []
+    def discover(self, options: SensorOptions) -> Sequence[DiscoveredDevice]:
+        sensor = Sensor.now
+        here = [sensor.identity] * sensor.is_plugged + [sensor.identify_second()] * sensor.has_second
+        return [DiscoveredDevice(f"simulated {n}", one.product, one) for n, one in enumerate(here)]
 
-    def open(self, options: NoOptions, clock: Clock) -> OpenSensor:
-        if not Sensor.now.is_plugged:
-            raise DeviceNotFound("no sensor is plugged in")
-        return OpenSensor(Sensor.now)
+    def open(self, options: SensorOptions, clock: Clock) -> OpenSensor | OpenSecond:
+        seen = [SensorOnBus(None, one) for one in self.discover(options)]
+        chosen = choose(seen, options.serial).discovered.identity
+        return OpenSensor(Sensor.now) if chosen == Sensor.now.identity else OpenSecond(Sensor.now)
 
 
 sensor_plugin = SensorPlugin()
