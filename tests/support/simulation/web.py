@@ -170,15 +170,18 @@ class Browser:
         self.view = View(self._run.world.clock.now_ns, state, *large(shown))
 
     def _picture(self, page: SteppedPage) -> Iterator[str]:
-        presses = json.loads(page.ask("GET", "/presses.json", {})[2])
-        pictured = [press["press_id"] for press in presses if press["has_picture"]]
-        for press_id, expected in ((pictured[:1] or [""])[0], 200), ("0" * 26, 404), ("../page.token", 404):
+        """A picture that cannot be drawn any more is told of no longer."""
+        newest = (self._list_pictured(page)[:1] or [""])[0]
+        for press_id, expected in (newest, 200), ("0" * 26, 404), ("../page.token", 404):
             status, kind, _ = page.ask("GET", f"/pictures/{press_id}", {})
-            is_earlier = any(one["press_id"] == press_id and one.get("is_earlier") for one in presses)
-            if (
-                press_id and status != expected and not (is_earlier and status == 404)
-            ):  # it cannot be drawn any more
+            is_told = press_id != newest or newest in self._list_pictured(page)
+            if press_id and status != expected and is_told:
                 yield f"the picture of {press_id} is answered by {status}, {kind}"
+
+    @staticmethod
+    def _list_pictured(page: SteppedPage) -> list[str]:
+        presses = json.loads(page.ask("GET", "/presses.json", {})[2])
+        return [press["press_id"] for press in presses if press["has_picture"]]
 
     def _file(self, page: SteppedPage) -> Iterator[str]:
         path = self._rng.choice(
