@@ -48,7 +48,10 @@ def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
     is_unsaid = station.is_drop_open and "outbox_full" not in station.loop.parts.status.view().alarms
     disk = station.disk.unsynced
     is_kept_from_it = station.is_held_up or (disk is not None and disk.fails is not None)
-    unsaid_ns = station.so_since("a drop is not said", is_unsaid and not is_kept_from_it)
+    is_open = is_unsaid and not is_kept_from_it
+    unsaid_ns = station.so_since(
+        "a drop is not said", is_open, station.disk_faults
+    )  # a report may have met one
     if unsaid_ns is not None and world.clock.now_ns - unsaid_ns > REPORTED_S * S:
         yield f"messages were dropped {REPORTED_S} s ago, and no alarm says so"
     taken = [broker.results.keys() | broker.pieces.keys() for broker in world.brokers.values()]

@@ -198,12 +198,14 @@ def bad_disk(run: "Simulation", rng: random.Random) -> float:
         random.Random(rng.random()),
     )
     unsynced.fails = lambda call: call == what and own.random() < share
+    run.station.disk_faults += 1
     run.world.parts.forget(run.world.clock.now_ns)
     run.world.gels.forget(run.world.clock.now_ns)
     run.reach(f"the disk failed to {what}")
 
     def mend() -> None:
         unsynced.fails = None
+        run.station.disk_faults += 1
         run.world.parts.forget(run.world.clock.now_ns)
         run.world.gels.forget(run.world.clock.now_ns)
 

@@ -96,6 +96,8 @@ class Station:
         self.snapshots: list[Asked] = []
         self.complete = set[str]()
         """The names of those that were there, and complete, as last looked at."""
+        self.disk_faults = 0
+        """Times in which the disk failed, begun and ended."""
         self.reached = set[str]()
         """Conditions that auditors have seen."""
         self.answers: list[dict[str, Any]] = []
