@@ -147,7 +147,7 @@ class ScarWatch(PressStage):
         if is_above:  # no other press is asked for it
             place = press.region, press.size, press.mm_per_pixel
             press = replace(press, moved_mm=measure_moves(inspection.registered, *place))
-        if can_mask and (is_above or self._scars.has_specks):
+        if can_mask and (is_above or self._scars.lasting_specks.any()):
             press = replace(press, reach=self._reach(press, inspection, inspector, found, free))
         is_masking = self._is_masking and can_mask
         judged = self._scars.judge(press, free, left, is_masking=is_masking)

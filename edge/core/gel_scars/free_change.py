@@ -38,8 +38,8 @@ _MARK_TIMES = 5.0
 # A person is told of a mark that no press exceeds by only where it is plain to see, also in a single frame: finer than
 # 0.3 mm (sigma), as grains, hairs and cuts are and stains of a worn coat are not, and of so many levels beside so many
 # times the doubt that the gel has moved. Of simulated gels up to twice their life, of public pictures of one gel at two
-# times, of presses on four gels and of a film of a marker gel none shows one at one place five times. A hair, or a
-# grain 0.2 mm across and 0.05 mm high, shows each time.
+# times, of presses on four gels and of a film of a marker gel none shows one at one place five times. A grain 0.2 mm
+# across and 0.05 mm high shows each time.
 _CLEAR_SIGMA = 2.5
 _CLEAR_LEVELS = 2.2
 _CLEAR_TIMES = 4.0

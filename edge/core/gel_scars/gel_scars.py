@@ -119,9 +119,9 @@ class GelScars:
             self._specks.see(clear)
 
     @property
-    def has_specks(self) -> bool:
-        """Whether the free gel shows marks that are said where they lie beyond the reach of the next press."""
-        return bool(self._specks.lasting.any())
+    def lasting_specks(self) -> Mask:
+        """The marks of the free gel that are said where they lie beyond the reach of the press, bool (120, 160)."""
+        return self._specks.lasting
 
     def judge(
         self, press: ScoredPress, free: View | None, left: View | None = None, *, is_masking: bool = True
@@ -163,7 +163,7 @@ class GelScars:
         """Find the largest mark of the free gel that lies where the part is not, bool (120, 160)."""
         if press.reach is None:
             return None
-        places = _Places.of((self._specks.lasting & shown & ~press.reach).astype(np.float32))
+        places = _Places.of((self.lasting_specks & shown & ~press.reach).astype(np.float32))
         if len(places.boxes) < 2:
             return None
         return np.asarray(places.labels == 1 + int(places.boxes[1:, cv2.CC_STAT_AREA].argmax()))
