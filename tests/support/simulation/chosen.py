@@ -54,7 +54,7 @@ MEETING_STEPS = (0, 5, 9, 12)
 TURN_S, MET = 12, 12.0
 """A turn lasts so long at most; and of each fault of a meeting there are so many in a minute of it."""
 
-LATER = ("lock database", "exchange bundle", "second sensor")
+LATER = ("lock database", "exchange bundle", "second sensor", "kill start", "stop hanging")
 """Faults that do not change what else a seed draws."""
 
 WORK = (

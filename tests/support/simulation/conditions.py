@@ -118,6 +118,8 @@ SOMETIMES = (
     "the loop waited for a database that was locked",
     *(f"a bundle was {kind}{when}" for kind in ("newer", *BROKEN) for when in ("", " during a press")),
     "a start was refused for its bundle",
+    "killed while it started",
+    "restarted as soon as the loop did not hang any more",
     *(
         f"a second sensor was beside {whose}, {what}"
         for whose in ("one that is named", "any")

@@ -340,6 +340,37 @@ def hang(run: "Simulation", rng: random.Random) -> float:
     return lasts_s
 
 
+def kill_start(run: "Simulation", rng: random.Random) -> float:
+    """The service is restarted, and killed at a write of its start."""
+
+    def kill_soon() -> None:
+        run.station.disk.kill_in = rng.randint(1, 4)
+
+    stop(run, rng, kill_soon)
+    if run.station.disk.is_dead:
+        run.reach("killed while it started")
+    return 0.0
+
+
+def stop_hanging(run: "Simulation", rng: random.Random) -> float:
+    """SIGTERM comes while the loop hangs, which ends with its turn."""
+    lasts_s, number = hang(run, rng), len(run.station.hung)
+
+    def end() -> None:
+        if (
+            "loop hangs" in run.ending
+            or run.station.hangs_in
+            or run.world.connections.turns["loop"].is_waiting
+        ):
+            run.later(0.02, end)
+        elif len(run.station.hung) > number:
+            run.reach("restarted as soon as the loop did not hang any more")
+            stop(run, rng)
+
+    run.later(0.02, end)
+    return lasts_s
+
+
 # Outputs
 
 
@@ -431,6 +462,8 @@ FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "lock database": lock_database,
     "exchange bundle": exchange_bundle,
     "second sensor": plug_second,
+    "kill start": kill_start,
+    "stop hanging": stop_hanging,
     "step clock": step_clock,
     "stop": stop,
     "lose database": lose_database,
@@ -537,6 +570,8 @@ WAIT_FIRST = {"step clock", "silence", "blind", "hold back", "unplug", "begin pi
 """Faults whose first one waits; of others a draw says whether it does."""
 
 NEEDS_ANSWER = {
+    "kill start",
+    "stop hanging",
     "stop",
     "second sensor",
     "exchange bundle",
