@@ -55,7 +55,7 @@ TURN_S, MET = 12, 12.0
 """A turn lasts so long at most; and of each fault of a meeting there are so many in a minute of it."""
 
 LATER = ("lock database", "exchange bundle", "second sensor", "kill start", "stop hanging")
-"""Faults that do not change what else a seed draws."""
+"""Faults that take turns, one in each third run, and do not change what else a seed draws."""
 
 WORK = (
     ("command", "", ""),
@@ -158,9 +158,12 @@ class Chosen:
             features = tuple(name for name in features if name == SNAPSHOT)
         chosen = replace(chosen, stamps_late=rng.random() < 0.5, features=features)
         rates |= {"say": 4.0, **dict.fromkeys(features, 4.0)}
-        own = random.Random(f"{seed} chosen later")
-        rates |= {name: own.choice((1.0, 4.0)) for name in LATER if name in names and own.random() < 0.15}
+        if seed % 3 == 0:
+            rates[LATER[seed // 3 % len(LATER)]] = 4.0
         rates.setdefault("hang up", 1.0)
+        own = random.Random(f"{seed} chosen later")
         chosen = replace(chosen, has_page=own.random() < 0.25, has_serial=own.random() < 0.5)
+        if "lose power" in chosen.faults:  # what a file has not synced is lost then alone
+            chosen = replace(chosen, has_file=True)
         disturbed = {"second plc": 1.0, **rates, "plc": 6.0}
         return replace(chosen, rates=disturbed) if chosen.plc and "plc" in names else chosen

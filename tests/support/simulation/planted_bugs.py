@@ -27,7 +27,7 @@ BUGS = (
         "plugins/sinks/jsonl.py",
         "                os.fsync(file.fileno())\n            except OSError:\n",
         "                pass\n            except OSError:\n",
-        "the file: .* results lack|that was sent is lost",
+        "the file: .* results lack|that was sent is lost|of the file is not JSON",
     ),
     Bug(
         "deleted before it is acknowledged",
@@ -391,7 +391,7 @@ BUGS = (
         "edge/features/shadow.py",
         "        if refusals:\n",
         "        if len(refusals) > 8:\n",
-        "a shadow that passes everything may take over",
+        "a shadow that passes everything may take over|and is of no whole bundle",
     ),
     Bug(
         "a new gel needs no master piece",
@@ -412,7 +412,7 @@ BUGS = (
         "edge/gateway/part_selection.py",
         "            if not is_pressed and (self.is_waiting or",
         "            if True and (self.is_waiting or",
-        "is judged by bundle",
+        "is judged by bundle|another part was selected at its begin",
     ),
     Bug(
         "a bundle with a fault leaves its place empty",
