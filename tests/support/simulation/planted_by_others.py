@@ -10,7 +10,7 @@ BY_OTHERS = (
         "edge/gateway/inspection_session.py",
         "                    self._waiting[0] = self._waiting[0].delay()\n",
         "                    self._waiting.popleft()\n",
-        "is lost|belongs to no press",
+        "is lost|belongs to no press|were made without one",
     ),
     # operations.md: 'results wait in the outbox, in order, and are sent again until they are acknowledged'.
     Bug(
