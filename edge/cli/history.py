@@ -82,10 +82,8 @@ def history(
     _check_groups(by, is_for_people=not as_json and output is None)
     if output is not None and output.suffix.lower() == ".parquet":
         needs("parquet", f"writing {output}")
-    now_ns = time.time_ns()
     query = HistoryQuery(
-        None if since is None else moment_ns(since, now_ns),
-        None if until is None else moment_ns(until, now_ns),
+        *_period(since, until),
         part,
         position,
         serial,
@@ -93,8 +91,6 @@ def history(
         _verdicts(verdict or []),
         count if output or count or by else PRINTED,
     )
-    if query.since_ns is not None and query.until_ns is not None and query.since_ns >= query.until_ns:
-        raise ConfigError(f"--since {since} is not before --until {until}: no press can fit")
     rows = read_history(path := database_path(config, database), query)
     if by == "shadow":
         _print_shadows(rows)
@@ -106,6 +102,15 @@ def history(
         _print_json(rows, count_verdicts(path, query) if count is None else {})
     else:
         _print(rows, count_verdicts(path, query) if count is None else None, path)
+
+
+def _period(since: str | None, until: str | None) -> tuple[int | None, int | None]:
+    """Read both ends, in nanoseconds since 1970; None for one that is open. Errors: ConfigError."""
+    now_ns = time.time_ns()
+    since_ns, until_ns = (None if text is None else moment_ns(text, now_ns) for text in (since, until))
+    if since_ns is not None and until_ns is not None and since_ns >= until_ns:
+        raise ConfigError(f"--since {since} is not before --until {until}: no press can fit")
+    return since_ns, until_ns
 
 
 def _check_groups(by: str | None, *, is_for_people: bool) -> None:
