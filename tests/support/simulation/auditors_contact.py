@@ -93,8 +93,8 @@ def _audit_press(press: MadePress, said: set[str]) -> Iterator[str]:
 
 
 def audit_lifts(world: World, station: Station) -> Iterator[str]:
-    """A part may be lifted when its press is recorded, and not by the verdict of another that the station has noticed.
-    A process that was frozen shows what its loop has said within the last second."""
+    """A part may be lifted when its press is recorded, and not by the verdict of another, but for one that was
+    recorded as the next began. A process that was frozen shows what its loop has said within the last second."""
     for one in world.relay.switched:
         if one.channel != LIFT:
             continue
@@ -105,8 +105,12 @@ def audit_lifts(world: World, station: Station) -> Iterator[str]:
         ][-1:]
         own = [seen for seen in station.seen if begun and begun[0].begin_ns <= seen.noted_ns <= one.told_ns]
         why = begun[0].why if begun else set()
-        noticed_s = UNHEARD_S if "process frozen" in why else world.noticed_s
-        is_of_before = bool(begun) and one.told_ns - begun[0].begin_ns < noticed_s * S
+        is_frozen = "process frozen" in why
+        noticed_ns = round((UNHEARD_S if is_frozen else world.noticed_s) * S)
+        is_just_recorded = any(0 <= one.told_ns - seen.noted_ns < noticed_ns for seen in station.seen)
+        is_of_before = (
+            bool(begun) and one.told_ns - begun[0].begin_ns < noticed_ns and (is_frozen or is_just_recorded)
+        )
         if not (
             own
             or is_of_before
