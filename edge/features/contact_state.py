@@ -100,7 +100,9 @@ class ContactWatch(PressStage):
         self._say()
 
     def show(self, view: StationView) -> None:
+        """Nobody has looked since a turn that waited, as for a locked database: `lift` is not of now any more."""
         self._is_ready = view.state == "ready"
+        self._lose_unseen()
         self._say()
 
     def turn(self, mounted: Mounted | None) -> None:

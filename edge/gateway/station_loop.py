@@ -200,9 +200,8 @@ class StationLoop:
             self.report.note_store_fault(error)
         if self.is_halted and self.session is not None:
             parts.store.note_uncounted(self.session.gel.serial, self.session.unrecorded)
-        view = parts.status.view()
         for stage in parts.stages:
-            stage.show(view)
+            stage.show(parts.status.view())  # with what the stages before it have just said of the contact
         if parts.clock.monotonic_ns() - self._last_stats_ns > parts.config.station.stats_s * 1e9:
             self.publish_stats()
 

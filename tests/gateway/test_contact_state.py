@@ -16,6 +16,7 @@ from edge.core.contact.press_detector import GAP_S
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Message
 from edge.features.contact_state import ContactWatch
+from edge.features.person_verdicts import PersonVerdicts
 
 WHOLE = ["touching", "pressing", "at_rest", "judged", "lift", "free"]
 
@@ -106,6 +107,18 @@ def test_frames_that_waited_while_nobody_looked_end_no_loss(
         watch.look(replace(watch._look, timestamp_ns=made_ns, sight=Mock(seen_ns=made_ns)))
         watch.turn(None)
         assert said[-1]["state"] == state
+
+
+def test_a_turn_that_waited_shows_no_lift_at_its_end(
+    station: SteppedStation, said: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A feature waited for a locked database after the look: nobody has seen since what lies there."""
+    station.play_until(lambda: bool(said) and said[-1]["state"] == "lift")
+    words, shown = station.find(PersonVerdicts), []
+    monkeypatch.setattr(words, "turn", lambda mounted: station.clock.sleep(2.0))
+    monkeypatch.setattr(words, "show", lambda view: shown.append(view.contact))
+    station.play(1)
+    assert (said[-1]["state"], shown) == ("unknown", ["unknown"])
 
 
 def test_a_station_ended_or_halted_says_nothing(station: SteppedStation, said: list[dict[str, Any]]) -> None:
