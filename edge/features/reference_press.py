@@ -9,7 +9,7 @@ from typing import Final, Self
 from pydantic import Field
 
 from edge.config.feature_tables import MasterPieceTable
-from edge.core.contact.events import PressSettled
+from edge.core.contact.events import Event, PressSettled, ReferenceReady
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.part_position import PartPosition
 from edge.core.ports import Message
@@ -67,6 +67,7 @@ class ReferenceGuard(PressStage):
         self._table, self._clock = parts.config.reference, parts.clock
         self._store, self._alarms = parts.store, parts.alarms
         self._mounted: Mounted | None = None
+        self._is_gel_known = False
         self._armed: _Armed | None = None
         self._void: Sentence | None = None  # why the press that has begun is rejected
         self._presses: dict[str, list[ReferencePress]] = {}
@@ -86,6 +87,11 @@ class ReferenceGuard(PressStage):
             )
         if self._mounted.has_contact:
             raise ValueError("something presses the gel; lift it, then ask for the reference press")
+        if not self._is_gel_known:  # the next part would be taken for a press that no one notices
+            raise ValueError(
+                "the free gel is not known yet, so no press is noticed; wait until the station is ready, then ask for "
+                "the reference press"
+            )
         chosen = self._choose_piece(self._mounted, piece)
         label = ReferenceLabel(chosen.name, chosen.verdict, self._table.learn, is_start)
         self._armed = _Armed(label, self._clock.monotonic_ns() + round(self._table.within_s * 1e9))
@@ -135,6 +141,12 @@ class ReferenceGuard(PressStage):
             log.warning("the reference press of %s did not come in time", self._armed.label.piece)
             self._armed = None
         self._look_for_faults()
+
+    def see(self, event: Event) -> None:
+        self._is_gel_known |= isinstance(event, ReferenceReady)
+
+    def relearn(self) -> None:
+        self._is_gel_known = False
 
     def begin(self, label: PressLabel | None) -> PressLabel | None:
         armed, self._armed = self._armed, None
@@ -203,8 +215,8 @@ class ReferenceGuard(PressStage):
 
     def _take_request(self) -> None:
         """Take a request of the command line, and write its row in the table of acts; it waits while something presses
-        the gel. Errors: StoreError."""
-        if self._mounted is not None and self._mounted.has_contact:
+        the gel, or the free gel is not known. Errors: StoreError."""
+        if self._mounted is not None and (self._mounted.has_contact or not self._is_gel_known):
             return
         taken = reference_presses.take(self._store)
         if taken is None:

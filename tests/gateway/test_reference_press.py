@@ -35,7 +35,7 @@ name = "M1"
 def presses(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Nine presses; those numbered 6 and 7 are dented."""
     folder = tmp_path_factory.mktemp("reference") / "presses"
-    return press_recording(folder, 9, dented=[6, 7], motion=Motion(hold=8), seed=5)
+    return press_recording(folder, 9, dented=[6, 7], motion=Motion(free=56, hold=8), seed=5)  # learnt twice
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def config(tmp_path: Path, presses: Path, bundle: Path) -> Callable[..., Path]:
 
 def start(station: SteppedStation) -> None:
     """Until the free gel is learnt."""
-    station.play_until(lambda: station.loop.session is not None)
+    station.play_until(lambda: station.find(ReferenceGuard)._is_gel_known)
 
 
 def ask(station: SteppedStation, **arguments: Any) -> dict[str, Any]:
@@ -290,6 +290,19 @@ def test_the_command_line_asks_through_the_database(config: Callable[..., Path])
     assert (acts["b"].outcome, "no master piece" in str(acts["b"].sentence)) == ("refused", True)
     assert (acts["c"].outcome, "while no gateway ran" in str(acts["c"].sentence)) == ("refused", True)
     assert station.reports[0].press.label is not None
+
+
+def test_it_is_asked_for_when_the_gel_is_known(config: Callable[..., Path]) -> None:
+    """Before that no press is noticed: the master piece would be pressed in vain, and the next part taken for it."""
+    with SteppedStation(config()) as station:
+        station.play_until(lambda: station.loop.session is not None)
+        with pytest.raises(ValueError, match="not known yet"):
+            ask(station)
+        start(station)
+        ask(station)
+        station.ask("relearn")
+        with pytest.raises(ValueError, match="wait until the station is ready"):
+            ask(station)
 
 
 def test_the_command_line_waits_until_the_gel_is_free(config: Callable[..., Path]) -> None:
