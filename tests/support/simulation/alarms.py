@@ -88,6 +88,9 @@ def audit_alarms(world: World, station: Station) -> Iterator[str]:
     now_ns, is_held_up = world.clock.now_ns, station.is_held_up
     view = station.loop.parts.status.view()
     raised = view.alarms
+    mended = {"actuator": world.relay.well_since_ns, "trigger_device": world.pedal.well_since_ns}
+    if world.has_plc:
+        mended["plc"] = world.plcs[0].well_since_ns  # a cut may be over between two looks
     for rule in RULES:
         is_so, may = rule.is_so(world, station), rule.may_be(world, station)
         # A sensor that is opened again may be well, until it is found that it is not; a frozen one stays the same.
@@ -95,7 +98,8 @@ def audit_alarms(world: World, station: Station) -> Iterator[str]:
         sensor = world.sensor
         again = (sensor.given if sensor.is_frozen else sensor.openings, sensor.is_silent, sensor.is_holding)
         so_since_ns = station.so_since(f"{rule.alarm} is so", is_so and not is_held_up, again)
-        well_since_ns = station.so_since(f"{rule.alarm} is well", not (is_so or may or is_held_up))
+        mended_ns = mended.get(rule.alarm)
+        well_since_ns = station.so_since(f"{rule.alarm} is well", not (is_so or may or is_held_up), mended_ns)
         is_late = so_since_ns is not None and now_ns - so_since_ns > rule.raised_s * S
         if is_late and rule.alarm not in raised:
             yield f"the alarm {rule.alarm} is not raised {rule.raised_s} s after its reason came"

@@ -221,6 +221,12 @@ class Station:
         return self.is_frozen or self.is_hanging or self.is_disk_slow
 
     @property
+    def is_between_turns(self) -> bool:
+        """Its loop can do what a person asks for: it waits for nothing in the middle of a turn."""
+        is_stopped = self.is_frozen or self.is_hanging
+        return not (is_stopped or self.world.connections.turns["loop"].is_waiting)
+
+    @property
     def is_disk_slow(self) -> bool:
         """Each flush takes its time. In this world every thread waits for it, and not one alone."""
         return self.disk.unsynced is not None and self.disk.unsynced.at_sync is not None

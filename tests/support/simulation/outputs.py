@@ -94,12 +94,12 @@ class Pedal:
 
     def __init__(self, clock: "SimulatedClock") -> None:
         self._clock = clock
-        self.mood = "up"
+        self.mood, self.well_since_ns = "up", 0
         self._was_down = False
 
     def mend(self) -> None:
         """It is plugged in, and nobody treads on it."""
-        self.mood = "up"
+        self.mood, self.well_since_ns = "up", self._clock.now_ns
 
     def read(self, deadline_ns: int) -> bool | None:
         """Return a change; it waits for none, for the schedule does."""

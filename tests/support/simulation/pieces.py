@@ -32,7 +32,7 @@ class PieceWorker:
         look."""
         hand = run.world.hand
         made = len(hand.presses) - self._first
-        if hand.press is not None or hand.is_done:
+        if hand.press is not None or hand.is_done or not run.station.is_between_turns:
             return 0.1
         if made >= self._wanted:
             hand.wait(0.4)

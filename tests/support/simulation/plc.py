@@ -143,7 +143,7 @@ class Plc:
         self, clock: "SimulatedClock", server: Server, rng: random.Random, ip: str, first_id: int
     ) -> None:
         self._clock, self._server, self._rng, self.ip = clock, server, rng, ip
-        self.mood = "up"
+        self.mood, self.well_since_ns = "up", 0
         self.cut_at: str | None = None
         """The step at which its cable is pulled next."""
         self.on_cut: Callable[[], None] = lambda: None
@@ -204,7 +204,7 @@ class Plc:
 
     def mend(self) -> None:
         """Its cable is plugged in, and its program is quick."""
-        self.mood, self._has_cut = "up", False
+        self.mood, self.well_since_ns, self._has_cut = "up", self._clock.now_ns, False
 
     def leave(self) -> None:
         """Its program ends."""

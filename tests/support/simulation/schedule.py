@@ -274,8 +274,7 @@ class Simulation:
 
     def _is_unanswered(self, name: str) -> bool:
         """Nobody answers what this needs."""
-        is_silent = "process frozen" in self.ending or self.station.is_hanging
-        return is_silent and name in NEEDS_ANSWER
+        return name in NEEDS_ANSWER and not self.station.is_between_turns
 
     def _given(self, fault: Fault) -> float:
         if self._is_unanswered(fault.name):
