@@ -69,7 +69,6 @@ def test_the_wheel_carries_the_manual(wheel_names: set[str]) -> None:
     found = [
         *(ROOT / "docs").rglob("*.md"),
         *(ROOT / "docs" / "images").iterdir(),
-        *(ROOT / "docs" / "studies").glob("*.svg"),
         *(ROOT / "firmware_notes").glob("*.md"),
         *(path for name in DEPLOYED for path in (ROOT / "deploy").glob(name) if path.is_file()),
     ]

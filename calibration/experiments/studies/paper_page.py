@@ -107,9 +107,13 @@ def _compare(rows: "pd.DataFrame", study: _Study) -> dict[str, Any]:
         effect_table = effects(rows, study.column, before, after, study.names)
         if len(known := effect_table[effect_table["paper"] != "-"]):
             columns = ["method", "part", "measure", "mean difference"]
-            differing = known.loc[known["direction"] == "differ", columns].agg(" ".join, axis=1)
+            differing = known.loc[known["direction"] == "differ", columns].to_numpy()
             steps.append(
-                {"title": title, "directions": list(known["direction"]), "differing": list(differing)}
+                {
+                    "title": title,
+                    "directions": list(known["direction"]),
+                    "differing": [" ".join(map(str, row)) for row in differing],
+                }
             )
     return {
         "name": study.name,
