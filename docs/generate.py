@@ -168,13 +168,13 @@ def _places(rows: Iterable[tuple[str, int, str]]) -> Iterator[tuple[str, str, st
         start += count
 
 
-def processors_page() -> str:
+def performance_page() -> str:
     """Print the page again with a row for each file of the folder `processors`, the fastest first."""
     files = sorted((FOLDER / "processors").glob("*.json"))
     runs = [json.loads(path.read_text(encoding="utf-8")) for path in files]
     runs.sort(key=lambda run: run["stages"]["outbox"]["median"])
     rows = table(_PROCESSOR_COLUMNS, map(_describe_run, runs))
-    return print_again("processors.md", {"docs/processors": rows})
+    return print_again("performance.md", {"docs/processors": rows})
 
 
 _PROCESSOR_COLUMNS: Final = (
@@ -214,11 +214,11 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "contact.md": contact_page,
     "errors.md": errors_page,
     "operations.md": operations_page,
+    "performance.md": performance_page,
     "parameters.md": parameters_page,
     "heights.md": heights_page,
     "mqtt.md": lambda: reference(every_command()),
     "plc.md": plc_page,
-    "processors.md": processors_page,
     "simulator.md": simulator_page,
 }
 
