@@ -1,6 +1,15 @@
 """anomalib's PaDiM and PatchCore as rows of the same run: same presses, same measures, timed in the same rounds.
 
-`python tests/bench/peers.py DATASET FOLDER --part PZ3 --position pos1` in an environment of its own (docs/studies.md).
+In an environment of its own, for anomalib brings another OpenCV:
+
+    python3 -m venv peers
+    peers/bin/pip install '.[studies,train]' 'anomalib>=2.7'
+    peers/bin/pip uninstall --yes opencv-python opencv-python-headless
+    peers/bin/pip install --force-reinstall --no-deps opencv-contrib-python-headless
+    gelgate lab simulate paper
+    peers/bin/python tests/bench/peers.py paper out --part PZ3 --position pos1
+    cp out/rows.jsonl docs/studies/tradeoff.jsonl
+
 They run as anomalib defines them, in PyTorch, on a ResNet-18 with the weights of the shipped trunk, so that methods and
 programs are compared and not weights. Their published figures are for other weights and pictures (MVTec AD), which are
 not at hand here.
