@@ -15,6 +15,7 @@ from calibration.simulator.camera import NOISE_SD
 from calibration.simulator.field_of_view import Field
 from calibration.simulator.gel import GEL
 from edge.core.arrays import F32, U8
+from edge.core.heights.height_map import integrate
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 
@@ -54,7 +55,7 @@ class Station:
         press = self._level(rgb)
         nx, ny = self._normals(press.transpose(2, 0, 1) - self._planes)
         upright = np.asarray(np.sqrt(1 - nx * nx - ny * ny), np.float32)
-        surface = _integrate(-nx / upright, -ny / upright, self.field)
+        surface = _integrate(-nx / upright, -ny / upright, self.field.mm_per_px)
         difference = cv2.blur(np.abs(press - self.free).sum(axis=2), (9, 9))
         untouched = difference < _UNTOUCHED_LEVELS
         known = surface[untouched] if untouched.mean() > _LEAST_UNTOUCHED else surface
@@ -138,25 +139,12 @@ _UNIT = sensor_appearance.SENSORS["unit_b"]
 _CURVATURE = _UNIT.slope_response[:, 12:].astype(np.float32)
 
 
-def _integrate(slope_x: F32, slope_y: F32, field: Field) -> F32:
-    """The surface with these slopes, least squares, by the cosine transform; its mean is 0.
+def _integrate(slope_x: F32, slope_y: F32, mm_per_px: tuple[float, float]) -> F32:
+    """The surface with these slopes, least squares; its mean is 0.
 
     Source: Frankot and Chellappa (1988) with Neumann borders. An odd number of pixels is extended by one.
     """
     h, w = slope_x.shape
-    even = (h + h % 2, w + w % 2)
-    pad = ((0, even[0] - h), (0, even[1] - w))
+    pad = ((0, h % 2), (0, w % 2))
     p, q = (np.pad(slope.astype(np.float64), pad, mode="edge") for slope in (slope_x, slope_y))
-    step_x = (p[:, 1:] + p[:, :-1]) / 2 * field.mm_per_px[0]
-    step_y = (q[1:] + q[:-1]) / 2 * field.mm_per_px[1]
-    divergence = np.zeros(even)
-    divergence[:, :-1] += step_x
-    divergence[:, 1:] -= step_x
-    divergence[:-1] += step_y
-    divergence[1:] -= step_y
-    rows, columns = (2 * np.cos(np.pi * np.arange(n) / n) - 2 for n in even)
-    laplacian = rows[:, None] + columns[None]
-    laplacian[0, 0] = 1.0
-    spectrum = cv2.dct(divergence) / laplacian
-    spectrum[0, 0] = 0.0
-    return np.asarray(cv2.idct(spectrum)[:h, :w], np.float32)
+    return np.asarray(integrate(p, q, mm_per_px)[:h, :w], np.float32)
