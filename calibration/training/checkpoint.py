@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from calibration.folders import write_whole
 from calibration.training.train_config import TrainConfig
 from edge.core.errors import ConfigError, GelgateError
 
@@ -64,7 +65,7 @@ def save(folder: Path, checkpoint: Checkpoint) -> Path:
             "before": list(checkpoint.before),
             "sha256": hashes,
         }
-        _write_bytes(part / _STATE, json.dumps(state, indent=2).encode())
+        write_whole(part / _STATE, json.dumps(state, indent=2).encode())
         shutil.rmtree(final, ignore_errors=True)
         os.replace(part, final)
     except OSError as error:
@@ -84,15 +85,8 @@ def save(folder: Path, checkpoint: Checkpoint) -> Path:
 def _write(path: Path, tensors: Tensors) -> str:
     buffer = io.BytesIO()
     torch.save({name: value.detach().cpu().contiguous() for name, value in tensors.items()}, buffer)
-    _write_bytes(path, buffer.getvalue())
+    write_whole(path, buffer.getvalue())
     return hashlib.sha256(buffer.getvalue()).hexdigest()
-
-
-def _write_bytes(path: Path, data: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def latest(folder: Path) -> Path | None:

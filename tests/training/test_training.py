@@ -149,7 +149,7 @@ def test_a_full_disk_keeps_the_last_checkpoint(
         path.write_bytes(data[:100])
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(checkpoints, "_write_bytes", full)
+    monkeypatch.setattr(checkpoints, "write_whole", full)
     later = checkpoints.Checkpoint(saved.recipe, 7, saved.weights, saved.first_moment, saved.second_moment)
     with pytest.raises(GelgateError, match=r"step 7 cannot be written: No space.*step_0000006' is complete"):
         checkpoints.save(tmp_path, later)
