@@ -7,6 +7,7 @@ from pydantic import BaseModel
 from edge.messaging.alarm_payload import AlarmPayload
 from edge.messaging.command_payloads import CommandRequest, CommandResponse
 from edge.messaging.deviation_payload import DeviationsPayload
+from edge.messaging.payload_base import Payload
 from edge.messaging.piece_payloads import PiecePayload, PieceResultPayload
 from edge.messaging.result_payload import ReferencePayload, ResultPayload
 from edge.messaging.status_payloads import (
@@ -34,12 +35,17 @@ class Topic(NamedTuple):
     may_be_empty: bool = False
 
 
+def _own(payload: type[Payload], meaning: str, *, may_be_empty: bool = False) -> Topic:
+    """Make the topic of a payload that says its delivery itself."""
+    return Topic(payload.topic, payload.qos, payload.is_retained, payload, meaning, may_be_empty)
+
+
 TOPICS: Final[tuple[Topic, ...]] = (
-    Topic("state", 1, True, StatePayload, "whether the station inspects; also the last will"),
+    _own(StatePayload, "whether the station inspects; also the last will"),
     Topic(
         "availability", 1, True, "text", "`online` or `offline`: whether the gateway runs; also a last will"
     ),
-    Topic("info", 1, True, InfoPayload, "the installed software, bundle and sensor"),
+    _own(InfoPayload, "the installed software, bundle and sensor"),
     Topic(
         "asyncapi", 1, True, "AsyncAPI", "this page for programs: AsyncAPI 3 with the schema of every payload"
     ),
@@ -80,34 +86,18 @@ TOPICS: Final[tuple[Topic, ...]] = (
         may_be_empty=True,
     ),
     Topic("last", 1, True, ResultPayload, "the same as `last/press`, for subscribers of version 0.1"),
-    Topic(
-        "reference",
-        1,
-        True,
+    _own(
         ReferencePayload,
         "the newest reference press with its control charts; such a press is on no other topic but `heatmap`",
     ),
-    Topic(
-        "contact",
-        0,
-        True,
-        ContactPayload,
-        "what the contact is, for a robot or a hand; the newest alone counts",
-    ),
-    Topic("gel", 1, True, GelPayload, "wear of the mounted gel"),
-    Topic(
-        "piece",
-        1,
-        True,
-        PiecePayload,
-        "the piece of several places in progress; only with `[piece]`",
-        may_be_empty=True,
-    ),
-    Topic("piece_result", 1, False, PieceResultPayload, "one message per piece of several places"),
-    Topic("questions", 1, True, QuestionsPayload, "presses that a person is asked about"),
-    Topic("drift", 1, True, DriftPayload, "control charts of the passing presses"),
+    _own(ContactPayload, "what the contact is, for a robot or a hand; the newest alone counts"),
+    _own(GelPayload, "wear of the mounted gel"),
+    _own(PiecePayload, "the piece of several places in progress; only with `[piece]`", may_be_empty=True),
+    _own(PieceResultPayload, "one message per piece of several places"),
+    _own(QuestionsPayload, "presses that a person is asked about"),
+    _own(DriftPayload, "control charts of the passing presses"),
     Topic("alarm/<alarm>", 1, True, AlarmPayload, "raised alarms; emptied when over", may_be_empty=True),
-    Topic("stats", 0, False, StatsPayload, "counters, for dashboards"),
+    _own(StatsPayload, "counters, for dashboards"),
     Topic("cmd/<verb>", 1, False, CommandRequest, "requests to the station; never retained"),
     Topic("cmd/<verb>/response", 1, False, CommandResponse, "the answer, with the request's transaction"),
 )
