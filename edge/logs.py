@@ -5,7 +5,7 @@ import logging
 import os
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import UTC, datetime
@@ -49,27 +49,35 @@ def start(log_format: LogFormat, *, is_verbose: bool) -> None:
 
 class LineWriter:
     """Writes lines on a stream by a thread of its own: where nobody reads, as at a terminal that hangs, a write
-    does not end, also where there was room for its beginning. One thread uses it at a time."""
+    does not end, also where there was room for its beginning. Lines behind it are left out, and counted when they are
+    read again. One thread uses it at a time.
 
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
+    tell: makes the line that says how many were left out.
+    """
+
+    def __init__(self, stream: TextIO, tell: Callable[[str], str] = "{}\n".format) -> None:
+        self._stream, self._tell = stream, tell
         self._lines = SimpleQueue[tuple[int, bytes]]()
         self._is_written = threading.Event()
         self._is_written.set()
         self._is_late = False
+        self._left_out = 0
         self._error: OSError | None = None
         self._thread: threading.Thread | None = None
 
-    def put(self, line: str) -> bool:
-        """Write a line; False for one that is left out, for an earlier one is not written yet. Errors: OSError."""
+    def put(self, line: str) -> None:
+        """Write a line, or leave it out where an earlier one is not written yet. Errors: OSError."""
         if not self._is_written.wait(0 if self._is_late else PATIENCE_S):
-            self._is_late = True
-            return False
+            self._is_late, self._left_out = True, self._left_out + 1
+            return
+        if self._left_out:
+            missed, self._left_out = write_count(self._left_out, "line"), 0
+            line = self._tell(f"{missed} left out: nothing was read here; inspection went on") + line
         try:
             file = self._stream.fileno()
         except OSError:  # in memory
             self._stream.write(line)
-            return True
+            return
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, name="lines", daemon=True)
             self._thread.start()
@@ -79,7 +87,6 @@ class LineWriter:
         error, self._error = self._error, None
         if error is not None:
             raise error
-        return True
 
     def _run(self) -> None:
         """Write past the stream: its lock, held at the end of the program, would be a crash."""
@@ -94,28 +101,20 @@ class LineWriter:
 
 
 class Lines(logging.StreamHandler[TextIO]):
-    """Log lines on a stream. No press waits for them: while nobody reads, as at a paused terminal, they are left out,
-    and counted when they are read again."""
+    """Log lines on a stream. No press waits for them, as at a paused terminal."""
 
     def __init__(self, stream: TextIO) -> None:
         super().__init__(stream)
-        self._writer = LineWriter(stream)
-        self._left_out = 0
+        self._writer = LineWriter(stream, self._tell)
+
+    def _tell(self, missed: str) -> str:
+        record = logging.LogRecord(__name__, logging.WARNING, __file__, 0, missed, None, None)
+        return self.format(record) + "\n"
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a line, or leave it out."""
         try:
-            line = self.format(record) + "\n"
-            if self._left_out:
-                message = (
-                    "%s left out: nothing was read here; inspection went on",
-                    write_count(self._left_out, "line"),
-                )
-                missed = logging.LogRecord(
-                    __name__, logging.WARNING, __file__, 0, message[0], message[1:], None
-                )
-                line = self.format(missed) + "\n" + line
-            self._left_out = 0 if self._writer.put(line) else self._left_out + 1
+            self._writer.put(self.format(record) + "\n")
         except Exception:  # noqa: BLE001 - as every handler of logging does
             self.handleError(record)
 

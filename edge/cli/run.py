@@ -113,18 +113,14 @@ class Lines:
     def __init__(self) -> None:
         self._writer = logs.LineWriter(sys.stdout)
         self._is_open = True
-        self._left_out = 0
 
     def put(self, line: str) -> None:
         """Print it, or say once in the log that lines are left out. A reader that pauses, such as a pager, keeps no
         press waiting, and is told how many it has missed."""
         if not self._is_open:
             return
-        if self._left_out:
-            missed = write_count(self._left_out, "line")
-            line = f"{missed} left out: nothing was read here; inspection went on\n{line}"
         try:
-            self._left_out = 0 if self._writer.put(f"{line}\n") else self._left_out + 1
+            self._writer.put(f"{line}\n")
         except OSError as error:
             self._is_open = False
             logging.getLogger(__name__).warning(

@@ -126,6 +126,6 @@ def test_a_line_that_fits_in_part_holds_up_nobody(
         logging_thread.start()
         logging_thread.join(20)
         assert not logging_thread.is_alive()
-        assert handler._left_out > 100
+        assert handler._writer._left_out > 100
         os.close(reading)  # ends the write, before another file has its number
         assert handler._writer._is_written.wait(10)
