@@ -46,7 +46,8 @@ class Alarms(Protocol):
     def say(
         self, alarm: str, sentence: Sentence | None, severity: Literal["warning", "error"] = "error"
     ) -> None:
-        """Raise an alarm for a person, or clear it with None. One that no one declares is not published."""
+        """Raise an alarm for a person, or clear it with None. What is said already is not said again, and one that no
+        one declares is not published."""
 
     def set_fault(self, alarm: str, text: Sentence) -> bool:
         """Raise it, and inspect nothing until `clear_fault`. Returns whether it was not raised before."""

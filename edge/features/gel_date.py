@@ -23,7 +23,7 @@ class GelDateWatch(PressStage):
     def __init__(self, alarms: Alarms, clock: Clock) -> None:
         self._alarms, self._clock = alarms, clock
         self._gel: GelRecord | None = None
-        self._ends_ns: int | None = None  # of the alarm; None while it is not raised
+        self._ends_ns = 0  # of the alarm
         self._next_look_ns = 0
 
     @classmethod
@@ -33,7 +33,7 @@ class GelDateWatch(PressStage):
     def mount(self, gel: GelRecord) -> None:
         """Another gel has another date, or none."""
         self._gel, self._next_look_ns = gel, 0
-        self._end()
+        self._alarms.say("gel_expired", None)
 
     def turn(self, mounted: Mounted | None) -> None:
         """Look now and then."""
@@ -41,17 +41,10 @@ class GelDateWatch(PressStage):
         if gel is None or now_ns < self._next_look_ns:
             return
         self._next_look_ns = now_ns + round(LOOK_S * 1e9)
-        if not is_past(gel.use_by, local_day(self._clock.time_ns())):
-            if self._ends_ns is not None and now_ns >= self._ends_ns:
-                self._end()
-            return
-        if self._ends_ns is None:
+        if is_past(gel.use_by, local_day(self._clock.time_ns())):
+            self._ends_ns = now_ns + EARLIER_S * 10**9
             self._alarms.say(
                 "gel_expired", Sentence(f"gel {gel.gel_id} is past its use-by date {gel.use_by}"), "warning"
             )
-        self._ends_ns = now_ns + EARLIER_S * 10**9
-
-    def _end(self) -> None:
-        if self._ends_ns is not None:
-            self._ends_ns = None
+        elif now_ns >= self._ends_ns:
             self._alarms.say("gel_expired", None)

@@ -115,23 +115,7 @@ class GelProofWatch(PressStage):
         proof = self._store.write("reading how far the bundle is proven on this gel", change)
         if proof.proven is None:
             proof = self._read_words(_key(mounted)) or proof
-        sentence = proof.unproven(_key(mounted).describe(mounted.part), mounted.gel_id)
-        if sentence != self._sentence:
-            self._sentence = sentence
-            self._say()
-
-    def _read_words(self, key: GelBundle) -> GelProof | None:
-        """Prove the bundle by what people said, if that is enough; looked at after each act."""
-        acts = self._store.read("reading the newest acts", newest_acts), key
-        if acts == self._acts:
-            return None
-        self._acts = acts
-        archive = ArchiveFolder(self._store.path.with_suffix(".archive"))
-        change = partial(gel_proofs.prove_by_words, key=key, archive=archive)
-        return self._store.write("proving a bundle by what people said", change)
-
-    def _say(self) -> None:
-        """Say why the bundle is not yet proven in the station's state, and by an alarm or a fault."""
+        self._sentence = proof.unproven(_key(mounted).describe(mounted.part), mounted.gel_id)
         self._alarms.set_unproven(self._sentence)
         if self._unproven == "warn":
             self._alarms.say("gel_proof", self._sentence, "warning")
@@ -143,6 +127,16 @@ class GelProofWatch(PressStage):
             and self._alarms.set_fault("gel_proof", self._sentence)
         ):
             log.warning("%s", self._sentence)
+
+    def _read_words(self, key: GelBundle) -> GelProof | None:
+        """Prove the bundle by what people said, if that is enough; looked at after each act."""
+        acts = self._store.read("reading the newest acts", newest_acts), key
+        if acts == self._acts:
+            return None
+        self._acts = acts
+        archive = ArchiveFolder(self._store.path.with_suffix(".archive"))
+        change = partial(gel_proofs.prove_by_words, key=key, archive=archive)
+        return self._store.write("proving a bundle by what people said", change)
 
 
 def read_origin(manifest: Facts) -> MadeOn:

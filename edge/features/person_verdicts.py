@@ -86,8 +86,7 @@ class PersonVerdicts(PressStage):
         self._asked_again = AskedAgain()
         self._of_other_colours: set[str] = set()
         self._shown: tuple[object, ...] | None = None
-        self._broken: str | None = None
-        self._escapes: str | None = None
+        self._escapes: Sentence | None = None
         self._day: date | None = None
         self._next_look_ns = 0
         self._mounted: Mounted | None = None
@@ -140,18 +139,15 @@ class PersonVerdicts(PressStage):
         if mounted is not None:
             is_proven = new_gel_ns is None  # else the alarm `gel_proof` says the same
             broken = self._find_broken_promise(mounted, verdicts_by_press) if is_proven else None
-            if broken != self._broken:
-                self._broken = broken
-                self._alarms.say("false_alarms", broken, "warning")
+            self._alarms.say("false_alarms", broken, "warning")
 
     def _say_escapes(self) -> None:
         """Say which presses that passed are damaged, by what people said in the last day."""
         settled = {press_id: settle(words) for press_id, words in self._read_said().items()}
         damaged = [press_id for press_id, word in settled.items() if word and word.saying == "damaged"]
         passed = self._store.read("looking for what passed", partial(read_passed, press_ids=damaged))
-        if (escapes := describe_escapes(passed)) != self._escapes:
-            self._escapes = escapes
-            self._alarms.say("escape", escapes, "warning")
+        self._escapes = describe_escapes(passed)
+        self._alarms.say("escape", self._escapes, "warning")
 
     def _read_said(self) -> dict[str, list[PersonVerdict]]:
         since_ns = self._clock.time_ns() - DAY_NS

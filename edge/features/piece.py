@@ -68,7 +68,6 @@ class Pieces(PressStage):
         self._has_contact = False
         self._is_undecided = False  # it is pressed, and the press has no verdict
         self._said: object = None
-        self._warned: Sentence | None = None
 
     @classmethod
     def open(cls, parts: StageParts) -> Self | None:
@@ -272,12 +271,7 @@ class Pieces(PressStage):
         )
         self._announce(payload.message())
         self._alarms.show_piece(None if self._piece is None else piece.piece_id)
-        self._warn(self._lock)
-
-    def _warn(self, sentence: Sentence | None) -> None:
-        if sentence != self._warned:
-            self._warned = sentence
-            self._alarms.say("piece", sentence, "warning")
+        self._alarms.say("piece", self._lock, "warning")
 
     def _next(self) -> Piece:
         """What the next piece will be."""
@@ -296,14 +290,15 @@ class Pieces(PressStage):
             self._wanted = None
             return
         if wanted not in self._selection.find_all(str(wanted)):
-            self._warn(
-                Sentence(f"the place {wanted} of the piece has no bundle any more; put it back, and reload")
+            lost = Sentence(
+                f"the place {wanted} of the piece has no bundle any more; put it back, and reload"
             )
+            self._alarms.say("piece", lost, "warning")
             return
         why = select_part(self._clock.time_ns(), "the plan of the piece", {}, before, wanted)
         self._selection.select(wanted, why, is_pressed=self._has_contact)
         self._wanted = None
-        self._warn(self._lock)
+        self._alarms.say("piece", self._lock, "warning")
 
     def _begin(self, arguments: BeginPieceArguments) -> Data:
         piece = self.begin_piece(arguments.piece_id)

@@ -58,7 +58,6 @@ class PressAgain(PressStage):
         self._plan = Plan("no bundle")
         self._bundle: Bundle | None = None
         self._first: _First | None = None
-        self._is_said = False
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
@@ -88,9 +87,7 @@ class PressAgain(PressStage):
         """Return it unsure where a second press is asked for, or decided together with the first."""
         if press.label is not None:
             return press  # a master piece and a step of a study are no pieces that wait
-        if self._is_said:
-            self._is_said = False
-            self._alarms.say("press_again", None)
+        self._alarms.say("press_again", None)
         self.turn(None)
         names = zip(self._first.piece_names, press.piece_names, strict=True) if self._first else ()
         if any(first and now and not first & now for first, now in names):
@@ -127,7 +124,6 @@ class PressAgain(PressStage):
         self._say_missed(first.press_id if first else "", what)
 
     def _say_missed(self, press_id: str, what: str) -> None:
-        self._is_said = True
         self._alarms.say(
             "press_again",
             Sentence(

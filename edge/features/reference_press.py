@@ -73,7 +73,6 @@ class ReferenceGuard(PressStage):
         self._presses: dict[str, list[ReferencePress]] = {}
         self._faults: tuple[str, ...] = ()
         self._next_look_ns = 0
-        self._said: tuple[bool, str] = (False, "")
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
@@ -293,9 +292,6 @@ class ReferenceGuard(PressStage):
             )
             sentences.insert(0, _say_void(self._armed) or wait)
         text = Sentence("; ".join(sentences))
-        if self._said == (is_refusing, text):
-            return
-        self._said = (is_refusing, text)
         if is_refusing:
             if self._alarms.set_fault("reference", text):
                 log.warning("%s", text)

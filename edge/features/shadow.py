@@ -63,7 +63,6 @@ class Shadow(PressStage):
         self._exchange: _Exchange | None = None
         self._fault: tuple[Inspector, str] | None = None
         self._late: tuple[Inspector | None, int] = None, 0  # presses in a row for which it took too long
-        self._said: str | None = None
         self._is_by_itself = parts.config.inspection.takeover == "by itself"
         self._next_weighing_ns = -math.inf
         self.worker: Background[None] = Background("shadow", CLOSE_S)
@@ -149,11 +148,10 @@ class Shadow(PressStage):
         faults = [*self._selection.shadow_faults]
         if self._fault is not None and self._fault[0] is self._selection.shadow:
             faults.append(Sentence(f"the shadow of {self._selection.part} {self._fault[1]}"))
-        if self._said != (sentence := "; ".join(faults) or None):
-            self._said = sentence
-            self._alarms.say(
-                "shadow", sentence and Sentence(f"{sentence}; presses are inspected without it"), "warning"
-            )
+        sentence = "; ".join(faults) or None
+        self._alarms.say(
+            "shadow", sentence and Sentence(f"{sentence}; presses are inspected without it"), "warning"
+        )
         self._gel = None if mounted is None else (mounted.serial, mounted.gel_id)
         wish = self._exchange
         if wish is None or (mounted is not None and mounted.has_contact):

@@ -40,7 +40,7 @@ class StationStatus:
         self._faults: dict[str, Sentence] = {}
         self._blind: Sentence | None = None
         self._sensor_fault: Sentence | None = None
-        self._raised: set[str] = set()
+        self._raised: dict[str, tuple[Sentence, str]] = {}
         self._waiting_for: Sentence | None = None
         self._is_stopped = self._is_hanging = False
         self._unproven: Sentence | None = None
@@ -107,9 +107,8 @@ class StationStatus:
     def contact(self, sentence: Sentence | None, is_fault: bool) -> None:
         """An alarm while a contact lasts longer than the usual ones, and in the end a fault."""
         if sentence is None:
-            if "contact" in self._raised:
-                self.clear_fault("contact")
-                self.say("contact", None)
+            self.clear_fault("contact")
+            self.say("contact", None)
         elif is_fault:
             if self.set_fault("contact", sentence):
                 log.error("%s", sentence)
@@ -120,7 +119,7 @@ class StationStatus:
         """The intended end. Alarms of other packages end with it: at the next start a package may be gone, and then
         nobody knows what to clear."""
         with self._lock:
-            for alarm in self._raised - ALARMS.keys():
+            for alarm in self._raised.keys() - ALARMS.keys():
                 self.say(alarm, None)
             self._is_stopped = True
             self._say_state()
@@ -148,15 +147,18 @@ class StationStatus:
     def say(
         self, alarm: str, sentence: Sentence | None, severity: Literal["warning", "error"] = "error"
     ) -> None:
-        """Raise an alarm for a person, or clear it with None. The log has it once, until it is cleared.
+        """Raise an alarm for a person, or clear it with None; what is said already is not said again. The log has it
+        once, until it is cleared.
 
         One that no one declares is in the log, the stats and the lights alone: the fault of a feature stops no
         inspection, and no start would empty its topic.
         """
         with self._lock:
+            if self._raised.get(alarm) == (sentence and (sentence, severity)):
+                return
             is_declared = alarm in ALARMS or alarm in list_alarms()
             if sentence is None:
-                self._raised.discard(alarm)
+                del self._raised[alarm]
                 if is_declared:
                     self.announce(alarm_cleared(alarm))
                 return
@@ -165,7 +167,7 @@ class StationStatus:
             elif alarm not in self._raised and alarm not in self._faults:
                 # A fault is logged by the one who noticed it.
                 log.warning("alarm %s: %s", alarm, sentence)
-            self._raised.add(alarm)
+            self._raised[alarm] = sentence, severity
             if is_declared:
                 time_ns = self._clock.time_ns()
                 payload = AlarmPayload(time_ns=time_ns, alarm=alarm, text=sentence, severity=severity)

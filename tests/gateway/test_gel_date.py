@@ -41,7 +41,8 @@ class Said:
 
     def say(self, alarm: str, sentence: str | None, severity: str = "error") -> None:
         assert alarm == "gel_expired"
-        self.texts.append(sentence)
+        if sentence != [None, *self.texts][-1]:
+            self.texts.append(sentence)
 
 
 def mounted(gel_id: str, use_by: str | None) -> GelRecord:

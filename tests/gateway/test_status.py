@@ -77,6 +77,19 @@ def test_a_fault_that_lasts_is_said_once() -> None:
     assert heard.reasons == ["full", "read-only"]
 
 
+def test_an_alarm_that_stays_as_it_is_is_published_once() -> None:
+    """And again with another sentence or severity, and after it was cleared."""
+    heard: list[Message] = []
+    status, disk, full = StationStatus(heard.append, ManualClock()), "the disk is full", "it is full"
+    status.say("disk", None)
+    for sentence in (disk, disk, full, None, None, full):
+        status.say("disk", sentence, "warning")
+    status.say("disk", full)
+
+    texts = [message.payload and json.loads(message.payload)["text"] for message in heard]
+    assert texts == [disk, full, b"", full, full]
+
+
 def test_an_alarm_is_in_the_log_once_until_it_is_cleared(caplog: pytest.LogCaptureFixture) -> None:
     """The log has an overload once, not every ten seconds."""
     status = StationStatus(Heard(), ManualClock())

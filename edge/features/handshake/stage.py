@@ -58,7 +58,6 @@ class HandshakeStage(PressStage):
         # Its piece begins when what touches now is lifted.
         self._early: tuple[Trigger, PartPosition | None] | None = None
         self._answer = ("", 0)
-        self._alarm: str | None = None
 
     @classmethod
     def open(cls, parts: StageParts) -> Self | None:
@@ -215,9 +214,7 @@ class HandshakeStage(PressStage):
             alarm = Sentence(
                 f"the PLC does not acknowledge the result of trigger {seen.trigger_id}, so the next is refused"
             )
-        if alarm != self._alarm:
-            self._alarm = alarm
-            self._parts.alarms.say("plc", alarm)
+        self._parts.alarms.say("plc", alarm)
 
 
 def _left(gel: GelRecord) -> int:
