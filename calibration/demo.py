@@ -29,7 +29,6 @@ from edge.messaging.local_broker import LocalBroker
 if TYPE_CHECKING:
     from edge.acquisition import AcquisitionStatus
     from edge.gateway.report import Summary
-    from edge.messaging.mqtt_broker import Level
 
 __all__ = ["demo"]
 
@@ -178,7 +177,7 @@ def _inspect(folder: Path, bundle: Path, recording: Path, heatmaps: Path, broker
         bundle=bundle.resolve(),
         host=broker.host,
         port=broker.port,
-        protocol=_level(broker),
+        protocol=broker.level,
     )
     config.write_text(text, encoding="utf-8")
     with _subscriber(broker, heatmaps) as (received, complete):
@@ -198,10 +197,6 @@ def _inspect(folder: Path, bundle: Path, recording: Path, heatmaps: Path, broker
             count = f"{gel.presses} of {gel.limit_presses} presses, {gel.state}"
             tally.gel = f"{gel.gel_id} on sensor {gel.serial}: {count}"
     return tally
-
-
-def _level(broker: LocalBroker) -> "Level":
-    return "5" if broker.speaks_mqtt5 else "3.1.1"
 
 
 def _read_damage(recording: Path) -> list[str]:
@@ -245,7 +240,7 @@ def _subscriber(local: LocalBroker, heatmaps: Path) -> Iterator[tuple[dict[str, 
                 )
             complete.add(press)
 
-    broker = Broker(local.host, local.port, "gelgate-demo-subscriber", level=_level(local))
+    broker = Broker(local.host, local.port, "gelgate-demo-subscriber", level=local.level)
     with closing(Connection.open(broker, on_received=arrived)) as connection:
         connection.subscribe(f"{ROOT}/#")
         yield results, complete

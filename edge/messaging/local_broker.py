@@ -4,17 +4,18 @@ It listens on a loopback port, accepts every client, and keeps nothing on disk: 
 """
 
 import shutil
+import signal
 import socket
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final, Literal, Self
 
 from edge.core.errors import SinkUnavailable
+from edge.messaging.mqtt_broker import Level
 
 __all__ = ["LocalBroker", "available_brokers"]
 
@@ -68,15 +69,12 @@ class LocalBroker:
             )
         self.host = "127.0.0.1"
         self.kind: BrokerKind = kind or available[0]
+        self.level: Level = "5" if self.kind == "mosquitto" else "3.1.1"
         self._reserved = _reserved_port()
         self.port = int(self._reserved.getsockname()[1])
         self._extra = extra
         self._folder = tempfile.TemporaryDirectory(prefix="gelgate-broker-")
         self._process: subprocess.Popen[bytes] | None = None
-
-    @property
-    def speaks_mqtt5(self) -> bool:
-        return self.kind == "mosquitto"
 
     @property
     def pid(self) -> int | None:
@@ -102,13 +100,17 @@ class LocalBroker:
             time.sleep(0.02)
         return self
 
-    def stop(self) -> None:
-        """End it properly."""
-        self._end(lambda process: process.terminate())
-
-    def kill(self) -> None:
-        """Kill it, as in a power failure."""
-        self._end(lambda process: process.kill())
+    def stop(self, by: int = signal.SIGTERM) -> None:
+        """End it. by: SIGKILL as in a power failure."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        process.send_signal(by)
+        try:
+            process.wait(STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
     def close(self) -> None:
         """Stop it, remove its files, and give up its port."""
@@ -125,17 +127,6 @@ class LocalBroker:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _end(self, how: Callable[[subprocess.Popen[bytes]], None]) -> None:
-        process, self._process = self._process, None
-        if process is None:
-            return
-        how(process)
-        try:
-            process.wait(STOP_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
     def _command(self) -> list[str]:
         folder = Path(self._folder.name)

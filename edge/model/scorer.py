@@ -106,11 +106,6 @@ class Scorer:
             free and free.sha256,
         )
 
-    @property
-    def tiles_run(self) -> int:
-        """The number of runs of the trunk on a tile; 0 for a trunk without tiles."""
-        return 0 if self._runner is None else self._runner.runs
-
     def score(self, rgb: NDArray[np.uint8]) -> Scored:
         """Score one press of the inspected region as the camera shows it. Errors as `score_prepared`."""
         return self.score_prepared(self.bundle.prepare(rgb))

@@ -42,7 +42,6 @@ class TileRunner:
         self, session: ort.InferenceSession, tiles: Tiles, maps: Mapping[str, tuple[int, int, int]]
     ) -> None:
         self.tiles, self.maps = tiles, maps
-        self.runs = 0
         down, across = len(tiles.rows), len(tiles.columns)
         self._cells = {tap: (h // down, w // across) for tap, (_, h, w) in maps.items()}
         self._session, self._io = session, session.io_binding()
@@ -61,7 +60,6 @@ class TileRunner:
         side = self.tiles.size
         self._tile[0] = frame[row : row + side, column : column + side]
         self._session.run_with_iobinding(self._io)
-        self.runs += 1
         for tap, tile_maps in self._found.items():
             into[tap][self.place(tap, index)] = tile_maps[0]
 

@@ -105,14 +105,6 @@ class Bench:
             )
         self.bus.plug_in(self.sensor)
 
-    def unplug(self, seconds: float = 0.0) -> None:
-        """Pull the sensor's cable."""
-        self.sensor.unplug(seconds)
-
-    def plug_in(self, port: int | None = None) -> None:
-        """Plug it in again: the address changes, and the port if one is given."""
-        self.bus.plug_in(self.sensor, port=port)
-
 
 class UsbMock(DevicePlugin[UsbMockOptions], RecordsDialogue[UsbMockOptions]):
     """The plugin."""

@@ -1,6 +1,7 @@
 """`gelgate watch`: one line per verdict, each press once, heatmaps on disk."""
 
 import json
+import signal
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -38,9 +39,7 @@ each_broker = pytest.mark.parametrize("broker", ["mosquitto", "amqtt"], indirect
 
 
 def speaks(broker: LocalBroker, client_id: str) -> Broker:
-    return Broker(
-        broker.host, broker.port, client_id, level="5" if broker.speaks_mqtt5 else "3.1.1", timeout_s=60.0
-    )
+    return Broker(broker.host, broker.port, client_id, level=broker.level, timeout_s=60.0)
 
 
 def result(n: int, **changes: object) -> bytes:
@@ -182,7 +181,7 @@ def test_a_broker_that_goes_away_is_waited_for(broker: LocalBroker) -> None:
     for seen in watch(address, station_filter("gelgate"), count=1, timeout_s=60, tell=messages.append):
         heard.append(seen.kind)
         if heard == ["state"]:
-            broker.kill()
+            broker.stop(signal.SIGKILL)
             broker.start()
             speak(broker)()
         elif heard == ["state", "state"]:  # of the second broker, or twice of the first
@@ -210,7 +209,7 @@ def test_a_broker_that_stays_away_is_waited_for_until_the_end(
 
     speak(broker)()
     for _ in watch(speaks(broker, "watcher"), station_filter("gelgate"), timeout_s=60, tell=tell):
-        broker.kill()
+        broker.stop(signal.SIGKILL)
 
     assert ["trying again" in sentence for sentence in told] == [False, True, True, True, True]
 

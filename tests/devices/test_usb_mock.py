@@ -91,7 +91,7 @@ class TestDescriptors:
         bench = plugin.bench(options, clock)
         with pytest.raises(DeviceNotFound, match=SERIAL):
             choose(discover(bench.bus), "AAAABBBB")
-        bench.unplug()
+        bench.sensor.unplug()
         with pytest.raises(DeviceNotFound, match=r"USB 2\.0 Camera"):
             plugin.open(options, clock)
 
@@ -200,7 +200,7 @@ class TestPlugging:
         stream = plugin.bench(options).bus
         assert len(jpeg(0, (640, 480))) > 32 * 3072
         read(device, clock)
-        plugin.bench(options).unplug()
+        plugin.bench(options).sensor.unplug()
         with pytest.raises(DeviceLost, match="unplugged"):
             read(device, clock)
         assert stream.enumerate_devices() is not None
@@ -212,8 +212,8 @@ class TestPlugging:
         first = plugin.open(options, clock)
         before = (bench.sensor.address, bench.sensor.port)
         assert read(first, clock) == jpeg(0)
-        bench.unplug()
-        bench.plug_in(port=4)
+        bench.sensor.unplug()
+        bench.bus.plug_in(bench.sensor, port=4)
         assert bench.sensor.address != before[0]
         assert bench.sensor.port == 4
         with pytest.raises(DeviceLost):

@@ -280,9 +280,9 @@ def test_pulled_out_again_and_again_while_a_thread_reads(tmp_path: Path) -> None
     with Acquisition(lambda: plugin.open(options, clock), clock, depth=4, backoff=backoff) as acquisition:
         for pull in range(1, 11):
             take_until(STREAMING)
-            bench.unplug()
+            bench.sensor.unplug()
             take_until(FAULT)
-            bench.plug_in(port=1 + pull % 4)
+            bench.bus.plug_in(bench.sensor, port=1 + pull % 4)
         take_until(STREAMING)
         seen += all_frames(acquisition)
         status = acquisition.status

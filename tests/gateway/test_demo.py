@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from station import Motion, press_recording
 
-from calibration.demo import ROOT, _await, _inspect, _level, _subscriber
+from calibration.demo import ROOT, _await, _inspect, _subscriber
 from edge.core.errors import PressesMissed
 from edge.core.ports import Message
 from edge.messaging.local_broker import LocalBroker
@@ -59,7 +59,7 @@ def test_pictures_that_follow_several_results_keep_their_numbers(tmp_path: Path)
         for name, word in presses
     ]
     with LocalBroker() as broker, _subscriber(broker, tmp_path) as (received, complete):
-        sender = Connection.open(Broker(broker.host, broker.port, "sender", level=_level(broker)))
+        sender = Connection.open(Broker(broker.host, broker.port, "sender", level=broker.level))
 
         def say(topic: str, payload: bytes) -> None:
             sender.publish(Message(f"{ROOT}/{topic}", payload, qos=1))

@@ -16,7 +16,7 @@ from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker
-from edge.messaging.mqtt_broker import Broker, Level, Received
+from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
 from plugins.sinks.mqtt import MqttSink, plugin
 from plugins.sinks.mqtt_options import MqttOptions
@@ -43,9 +43,8 @@ class Listener:
     ) -> None:
         self._changed = threading.Condition()
         self.heard: list[Received] = []
-        level: Level = "5" if broker.speaks_mqtt5 else "3.1.1"
         self._connection = Connection.open(
-            Broker(broker.host, broker.port, client_id, level=level, timeout_s=PATIENCE_S),
+            Broker(broker.host, broker.port, client_id, level=broker.level, timeout_s=PATIENCE_S),
             on_received=self._note,  # type: ignore[arg-type]
         )
         self._connection.subscribe(topic_filter)

@@ -63,7 +63,7 @@ def test_a_station_may_say_all_that_it_has_to_say(client: Callable[..., Connecti
 
     for topic in SENT:
         station.publish(Message(f"{ROOT}/{filled(topic)}", b"{}"))
-    station.publish(Message(discovery_topic(STATION), b"{}"))
+    station.publish(Message(discovery_topic(STATION, "homeassistant"), b"{}"))
     for verb in ("NBIRTH", "NDATA", "NDEATH"):
         station.publish(Message(f"spBv1.0/plant/{verb}/line1-press2", b"{}"))
 

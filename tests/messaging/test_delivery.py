@@ -2,6 +2,7 @@
 
 import json
 import random
+import signal
 from collections import Counter
 from pathlib import Path
 
@@ -48,7 +49,7 @@ def test_a_broker_killed_in_the_middle_and_restarted_loses_nothing(
             ids += [record_press(store, len(ids)) for _ in range(10)]
             worker.step()  # one batch: some presses are out, some are not
             hears_all_acknowledged(heard, ids, outbox)
-            broker.kill()
+            broker.stop(signal.SIGKILL)
             ids += [record_press(store, len(ids)) for _ in range(5)]
             assert worker.step() > 0
             broker.start()

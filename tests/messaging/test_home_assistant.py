@@ -117,7 +117,7 @@ def test_a_station_is_one_device_with_its_own_topics_and_words() -> None:
     assert f"{ROOT}/last/heatmap" in named
     assert len({one["unique_id"] for one in entities.values()}) == len(entities)
     assert discovery(STATION)["components"].keys() == entities.keys() - {"picture"}
-    assert discovery_topic(other) != discovery_topic(STATION)
+    assert discovery_topic(other, "ha") != discovery_topic(STATION, "ha")
     assert discovery(other)["device"]["identifiers"] != DEVICE["device"]["identifiers"]
     for component, words in (("verdict", Kind), ("cause", Cause), ("gel_state", GelState)):
         assert {word.value for word in words} <= {*entities[component]["options"]}

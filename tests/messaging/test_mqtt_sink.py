@@ -113,7 +113,7 @@ def test_a_broker_that_is_down_or_killed_is_found_again(
     broker.start()
     for n in range(2):
         sent(sink, Message("result", b"%d" % n))
-        broker.kill()
+        broker.stop(signal.SIGKILL)
         with pytest.raises(SinkUnavailable):
             sink.send(Message("result", b"unsent %d" % n))
         broker.start()
@@ -139,7 +139,7 @@ def test_what_was_given_up_is_never_sent_later(sink_to: SinkTo, listen: Listen) 
         for thread in library:
             thread.join(PATIENCE_S)
             assert not thread.is_alive()
-        broker.kill()
+        broker.stop(signal.SIGKILL)
         broker.start()
         listener = listen(broker, client_id="after")
         sent(sink, Message("result", b"after"))

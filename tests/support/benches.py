@@ -66,7 +66,7 @@ class UsbMockBench(RecordedBench):
         return usb_mock.plugin.open(self._options, self.clock)
 
     def unplug(self) -> None:
-        usb_mock.plugin.bench(self._options).unplug()
+        usb_mock.plugin.bench(self._options).sensor.unplug()
 
 
 class V4l2Bench:

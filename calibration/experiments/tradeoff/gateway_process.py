@@ -22,7 +22,7 @@ from edge.clock import SystemClock
 from edge.core.contact.settings import ContactSettings
 from edge.core.errors import DeviceError
 from edge.messaging.local_broker import LocalBroker
-from edge.messaging.mqtt_broker import Broker, Level, Received
+from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
 
 __all__ = [
@@ -110,8 +110,7 @@ def measure_bare(trunk: Path, shape: tuple[int, int], threads: int) -> Bare | No
 @contextmanager
 def listen(broker: LocalBroker, hear: Callable[[Received], None]) -> Iterator[None]:
     """Give each message of a station at this broker to a function, which another thread calls."""
-    level: Level = "5" if broker.speaks_mqtt5 else "3.1.1"
-    address = Broker(broker.host, broker.port, "gelgate-bench", level=level)
+    address = Broker(broker.host, broker.port, "gelgate-bench", level=broker.level)
     with closing(Connection.open(address, on_received=hear)) as connection:
         connection.subscribe("gelgate/#")
         yield

@@ -53,10 +53,7 @@ def flow(
     return nodes
 
 
-DISCOVERY_PREFIX: Final = "homeassistant"
-
-
-def discovery_topic(station: DescribedStation, prefix: str = DISCOVERY_PREFIX) -> str:
+def discovery_topic(station: DescribedStation, prefix: str) -> str:
     """The topic on which the message is retained; an empty message there removes the device."""
     return f"{prefix}/device/{station.id}/config"
 
