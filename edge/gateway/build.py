@@ -107,7 +107,7 @@ def _build(
     pictures = Pictures(store, publisher.wake, draw_again, keeps_last=config.keeps_heatmap)
     closing.callback(pictures.close)
     status.set_waiting_for(Sentence("the sensor"))
-    device = _opener(config, bundles[part].bundle.profile.controls, clock, closing, checked)
+    device = _opener(config, bundles[part].bundle.profile.controls, clock, checked)
     acquisition = Acquisition(device, clock, status.sensor_changed)
     closing.callback(acquisition.close)
     selection = PartSelection(
@@ -276,14 +276,10 @@ def _open_publisher(
 
 
 def _opener(
-    config: Config, controls: Mapping[str, int], clock: Clock, closing: ExitStack, checked: Preflight | None
+    config: Config, controls: Mapping[str, int], clock: Clock, checked: Preflight | None
 ) -> Callable[[], Device]:
     """Opens the sensor; the first call returns the one that the check before the start has opened, the others open the
     same one again: a virtual sensor goes on where it was."""
     again = (checked.open_device if checked else None) or device_opener(config.device, controls, clock)
-    first = checked.take_device() if checked else None
-    if first is None:
-        return again
-    closing.callback(first.close)  # in case no one takes it
-    waiting = [first]
+    waiting = [checked.device] if checked and checked.device else []
     return lambda: waiting.pop() if waiting else again()

@@ -15,19 +15,12 @@ from dataclasses import dataclass
 from datetime import date, timedelta
 from functools import partial
 from itertools import combinations
-from typing import Self, TypeVar
+from typing import TypeVar
 
 from edge import registry
 from edge.config import Config, InspectionTable, PluginTable
 from edge.config.feature_tables import PieceTable
-from edge.core.errors import (
-    BundleMismatch,
-    ConfigError,
-    DeviceNotFound,
-    GelgateError,
-    SinkUnavailable,
-    StoreError,
-)
+from edge.core.errors import ConfigError, DeviceNotFound, GelgateError, SinkUnavailable, StoreError
 from edge.core.gel_life import is_past
 from edge.core.part_position import PartPosition
 from edge.core.piece import check_places
@@ -65,36 +58,20 @@ class Finding:
     """Why the gateway cannot start with it, None if it can."""
 
 
-class Preflight:
+class Preflight(contextlib.ExitStack):
     """The findings, in the order in which a start uses the parts, and the open parts. Close it after the start.
 
     opener: has opened the bundles. bundles: those without a fault, their golden frames scored. open_device: opens the
-    sensor that was tried once more; None where it was not tried.
+    sensor that was tried once more; None where it was not tried. device: the open sensor.
     """
 
     def __init__(self, opener: BundleOpener) -> None:
+        super().__init__()
         self.findings: list[Finding] = []
         self.opener = opener
         self.bundles = BundleSet()
         self.open_device: Callable[[], Device] | None = None
-        self._device: Device | None = None
-
-    def take_device(self) -> Device | None:
-        """The open sensor, which the caller then closes; None where there is none."""
-        device, self._device = self._device, None
-        return device
-
-    def close(self) -> None:
-        """Close the sensor, unless a caller has taken it. May be called again."""
-        device = self.take_device()
-        if device is not None:
-            device.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        self.device: Device | None = None
 
     def try_part(self, part: str, attempt: Callable[[], str]) -> None:
         """Record the result of the attempt, or its error."""
@@ -143,14 +120,11 @@ class Preflight:
         bundle = next((one.bundle for one in self.bundles.bundles.values()), None)
         _require_sensor(config)
         self.open_device = device_opener(config.device, bundle.profile.controls if bundle else {}, clock)
-        self._device = self.open_device()
-        sensor = self._device.identity
+        self.device = self.open_device()
+        self.callback(self.device.close)
+        sensor = self.device.identity
         if bundle is not None:
-            try:
-                check_mode(bundle, sensor)
-            except BundleMismatch:
-                self.close()
-                raise
+            check_mode(bundle, sensor)
         return f"{sensor.product}, serial {sensor.serial}, {sensor.mode[0]}x{sensor.mode[1]}"
 
 

@@ -93,11 +93,9 @@ def test_a_check_without_a_start_gives_the_sensor_back(config: Path) -> None:
     """`gelgate check` twice in a row, and from two processes, finds it free."""
     loaded, clock = load_config(config), SystemClock()
     with preflight(loaded, clock) as checked:
-        device = checked.take_device()
-        assert device is not None
-        device.close()
+        assert checked.device is not None
     with preflight(loaded, clock) as checked:
-        held = checked._device
+        held = checked.device
     assert held is not None
     with pytest.raises(DeviceLost):
         held.read(clock.monotonic_ns() + 10**9)
