@@ -99,10 +99,9 @@ class PressAgain(PressStage):
         again = press.again
         if again is None:
             return {}
-        second_of = again.second_of or None
         part = PressAgainPart(
             is_asked=again.is_asked,
-            second_of=second_of,
+            second_of=again.second_of or None,
             first_score=again.first_score,
             own_score=again.own_score,
             reason=again.reason,
@@ -111,8 +110,7 @@ class PressAgain(PressStage):
 
     def drop(self, why: str) -> None:
         """A press that was asked for is not waited for any more."""
-        if self._first is not None:
-            self._missed(Sentence(f"is not waited for any more: {why}"))
+        self._missed(Sentence(f"is not waited for any more: {why}"))
 
     def turn(self, mounted: Mounted | None) -> None:
         """Say it when a press that was asked for did not come in time."""
@@ -121,7 +119,8 @@ class PressAgain(PressStage):
 
     def _missed(self, what: str) -> None:
         first, self._first = self._first, None
-        self._say_missed(first.press_id if first else "", what)
+        if first is not None:
+            self._say_missed(first.press_id, what)
 
     def _say_missed(self, press_id: str, what: str) -> None:
         self._alarms.say(

@@ -342,7 +342,6 @@ class Report:
     def acknowledge_drops(self) -> None:
         """A person has seen the alarm `outbox_full`: it is raised again by the next drop. Errors: StoreError."""
         self._publisher.acknowledge_drops(self._outbox)
-        self._status.say("outbox_full", None)
 
     def _say_load(self) -> None:
         """Frames lost because the store refuses writes have their own alarm."""
