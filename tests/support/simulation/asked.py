@@ -37,7 +37,7 @@ def say_of_press(run: "Simulation", rng: random.Random) -> float:
         and press.begin_ns <= seen.frame_ns <= press.end_ns
     ]
     if not known:
-        return 0.5
+        return -0.5
     press_id, what = rng.choice(known)
     word = "good" if what == "sound" else "damaged"
     is_slip = word == "good" and rng.random() < 0.3
@@ -64,7 +64,7 @@ def ask_for_snapshot(run: "Simulation", rng: random.Random) -> float:
         answer = run.station.ask(SNAPSHOT, before_s=before_s, after_s=after_s)
     except ValueError as error:  # another one is made, or no frame has come
         run.note(f"no snapshot: {error}")
-        return 1.0
+        return -1.0
     now_ns = run.world.clock.now_ns
     run.station.snapshots.append(Asked(answer["recording"], now_ns, before_s + after_s, run.station.lives))
     run.reach("a snapshot was asked for")
@@ -90,13 +90,13 @@ def relearn(run: "Simulation", rng: random.Random) -> float:
     """A person has the free gel learnt again; some forget that something lies on it."""
     hand, loop = run.world.hand, run.station.loop
     if loop.session is None or run.world.sensor.is_behind or (hand.press is not None and rng.random() < 0.7):
-        return 0.1
+        return -0.1
     is_pressed = hand.press is not None
     try:
         run.station.ask("relearn")
     except GelgateError as error:  # the store refuses
         run.note(f"the gel is not learnt again: {error}")
-        return 0.5
+        return -0.5
     run.world.new_gel_ns = run.world.clock.now_ns
     run.world.sensor.disturb("the gel was being learnt")
     hand.wait(3)
@@ -111,13 +111,13 @@ def press_master(run: "Simulation", rng: random.Random) -> float:
     if REFERENCE not in run.chosen.features:
         return 60.0
     if hand.press is not None or hand.is_done or run.world.sensor.is_behind:
-        return 0.1
-    hand.wait(0.4)
+        return -0.1
+    if hand.free_s < 0.4:
+        hand.wait(0.4)
     try:
         run.station.ask(REFERENCE, piece=MASTER, restart=rng.random() < 0.1)
-    except (ValueError, GelgateError) as error:  # something presses still, or no frame has come
-        run.note(f"no press of the master piece: {error}")
-        return 0.1
+    except (ValueError, GelgateError):  # something presses still, or the free gel is not known yet
+        return -0.1
     hand.master_ns = run.world.clock.now_ns
     run.reach("a master piece was asked for")
     run.note("the master piece is next")

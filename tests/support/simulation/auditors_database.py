@@ -24,12 +24,14 @@ def audit_locked(world: World, station: Station) -> Iterator[str]:
     only_ns = station.so_since("only locked", locker.is_refusing and world.sensor.troubles == LOCKED)
     if locked_ns is None or only_ns != locked_ns:
         return
-    is_alone = locked_ns - max(locker.left_ns, station.began_ns) > 2 * WAITED_S * S
+    is_alone = (
+        locked_ns - max(locker.left_ns, station.began_ns) > S
+    )  # nobody waits any more since the one before
     if raised_ns is not None and is_alone and locked_ns < raised_ns < locked_ns + WAITED_S * S:
         yield f"the database is locked for {(raised_ns - locked_ns) / S:.1f} s, and the alarm store is raised"
-    for press in world.hand.presses[-2:]:
+    for press in world.hand.presses:
         is_over = locked_ns < press.end_ns < now_ns - SAID_S * S
         is_sure = all(why in LOCKED or why.startswith("the station said") for why in press.why)
-        has_row = any(seen.noted_ns > press.begin_ns for seen in station.seen[-4:])
+        has_row = any(seen.noted_ns > press.begin_ns for seen in station.seen)
         if is_over and is_sure and press.is_asked and not (is_raised or has_row):
             yield f"press {press.number} waits for a locked database, and the alarm store is not raised"

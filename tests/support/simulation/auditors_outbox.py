@@ -45,10 +45,9 @@ def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
     station.dropped = dropped
     if size > room_mb * 1e6:
         yield f"{size} bytes wait in an outbox of {room_mb} MB"
-    is_unsaid = station.is_drop_open and "outbox_full" not in station.loop.parts.status.view().alarms
     disk = station.disk.unsynced
     is_kept_from_it = station.is_held_up or (disk is not None and disk.fails is not None)
-    is_open = is_unsaid and not is_kept_from_it
+    is_open = station.is_drop_unsaid and not is_kept_from_it
     unsaid_ns = station.so_since(
         "a drop is not said", is_open, station.disk_faults
     )  # a report may have met one

@@ -3,6 +3,7 @@
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ TURN_S, MET = 12, 12.0
 """A turn lasts so long at most; and of each fault of a meeting there are so many in a minute of it."""
 
 LATER = ("lock database", "exchange bundle", "second sensor", "kill start", "stop hanging")
-"""Faults that take turns, one in each third run, and do not change what else a seed draws."""
+"""Faults that take turns in runs of all kinds, one in each."""
 
 WORK = (
     ("command", "", ""),
@@ -73,6 +74,48 @@ WORK = (
 )
 """Trigger, PLC and order of a piece: each seed has the next. With neither a master piece may be pressed, or the code on
 a part select."""
+
+
+CONNECTIONS = ("away", "restarts without memory", "silent", "kicks", "denies", "lets one in")
+ANSWERS = (
+    *("forgets answers", "refuses", "is narrow", "doubles", "delays", "answers late", "answers another"),
+    "ignores",
+)
+MOODS = (*CONNECTIONS, "restarts without memory", *ANSWERS)
+"""What brokers may do."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """Faults that belong together, in a minute so many of each, and the options of a run that has no others."""
+
+    rates: dict[str, float]
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+FAMILIES = (
+    Family({"select part": 30, "stop": 4}, {"trigger": "command"}),
+    Family({"hang": 20, "freeze": 6, "relay": 4}, {"has_robot": True}),
+    Family({"lock database": 60}),
+    Family({"exchange bundle": 30, "select part": 6, "reload": 4}),
+    Family({REFERENCE: 12, "replace gel": 6, "relearn": 3}, {"features": (REFERENCE,)}),
+    Family({OVERVIEW: 8}, {"features": (OVERVIEW,)}),
+    Family({"hang up": 30, "stop": 8}, {"outbox_mb": TINY_MB, "brokers": 1, "moods": ("away",)}),
+    Family({"silence": 10, "unplug": 5, "stop": 6}, {"has_page": True}),
+    Family(
+        {"say": 20, SNAPSHOT: 20, "adopt": 6, "lose power": 2},
+        {"has_shadow": True, "features": (SNAPSHOT,)},
+    ),
+    Family({"plc": 12, "second plc": 4, "select part": 10, "silence": 2}, {"plc": "modbus"}),
+    Family({"second sensor": 20, "kill start": 6, "stop hanging": 6, "lose database": 4}),
+    Family({"hang up": 40, "stop": 4, "step clock": 6}, {"moods": CONNECTIONS}),
+    Family({"hang up": 40, "kill": 6, "stop": 4}, {"moods": ANSWERS}),
+    Family({"lose power": 10, "kill": 6, "replace gel": 3}, {"has_file": True, "has_archive": True}),
+    Family({"silence": 10, "unplug": 8, "hold back": 6, "blind": 6, "kill": 4}),
+    Family({"plc": 12, "begin piece": 10, "stop": 3}, {"plc": "opcua", "piece": "free"}),
+    Family({"fill disk": 8, "bad disk": 8, "kill": 6, "hang up": 6, "replace gel": 4}),
+)
+"""Two of three seeds have one of them alone, and take turns: what meets everything else in the third is rare."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +150,8 @@ class Chosen:
     """A browser asks it all the time."""
     forgets: bool = False
     """Each broker restarts without its memory when all faults have ended."""
+    moods: tuple[str, ...] = ()
+    """Of brokers; empty for mostly `away`, and else any."""
     features: tuple[str, ...] = ()
     """Those that are configured beside what each station has."""
     stamps_late: bool = False
@@ -119,51 +164,62 @@ class Chosen:
 
     @classmethod
     def of(cls, seed: int, names: Sequence[str]) -> "Chosen":
-        """Draw. Most kinds of fault are left out of a run, so that others meet alone; seeds that follow each other have
-        every kind and every meeting. A PLC is always disturbed, and met by a second one."""
-        rng = random.Random(f"{seed} chosen")
-        drawn = [name for name in names if name not in ("begin piece", "hang", *LATER)]  # which come below
-        rates = {name: rng.choice((1.0, 4.0)) for name in drawn if rng.random() < 0.1}
-        rates |= {drawn[turn % len(drawn)]: 4.0 for turn in (seed, 5 * seed + 7)}
-        trigger, plc, piece = WORK[seed % len(WORK)]
+        """Draw. Of three seeds that follow each other two have a family of faults each, and one has all kinds."""
+        rng, number = random.Random(f"{seed} chosen"), seed // 3
         chosen = cls(
             rng.choice((1, 2)),
             rng.random() < 0.8,
-            rates,
+            {},
             rng.choice((0.0, 0.01, 0.03)),
             rng.choice((18.75, 18.75, 9.0, 7.0)),
             rng.choice(("5", "5", "5", "3.1.1", "silent at 5")),
-            trigger,
-            rng.choice((*[512] * 8, SMALL_MB, TINY_MB)),
-            rng.random() < 0.25,
-            rng.random() < 0.25,
-            rng.random() < 0.3,
-            plc,
-            piece,
-            tuple(MEETINGS[(seed + step) % len(MEETINGS)] for step in MEETING_STEPS),
-            forgets=seed % 2 == 0,
+            has_file=rng.random() < 0.25,
+            has_shadow=rng.random() < 0.25,
+            has_robot=rng.random() < 0.3,
+            has_serial=number // 8 % 2 == 1,
+            forgets=number % 2 == 0,
+            stamps_late=rng.random() < 0.5,
+        )
+        if seed % 3:
+            family = FAMILIES[(seed - number - 1) % len(FAMILIES)]
+            return replace(chosen, rates=family.rates, **family.options)
+        return chosen._mix(number, names, rng)
+
+    def _mix(self, number: int, names: Sequence[str], rng: random.Random) -> "Chosen":
+        """Choose faults of all kinds. Most are left out of a run, so that others meet; runs that follow each other have
+        every kind and every meeting. A PLC is always disturbed, and met by a second one."""
+        drawn = [name for name in names if name not in ("begin piece", "hang", *LATER)]  # which come below
+        rates = {name: rng.choice((1.0, 4.0)) for name in drawn if rng.random() < 0.1}
+        rates |= {drawn[turn % len(drawn)]: 4.0 for turn in (number, 5 * number + 7)}
+        rates[LATER[number % len(LATER)]] = 4.0
+        trigger, plc, piece = WORK[number % len(WORK)]
+        # A person asks for a master piece, and the code selects.
+        is_plain = not (plc or piece or trigger == "command")
+        possible = (SNAPSHOT, REFERENCE, OVERVIEW) if is_plain else (SNAPSHOT,)
+        chosen = replace(
+            self,
+            trigger=trigger,
+            plc=plc,
+            piece=piece,
+            outbox_mb=rng.choice((*[512] * 8, SMALL_MB, TINY_MB)),
+            meetings=tuple(MEETINGS[(number + step) % len(MEETINGS)] for step in MEETING_STEPS),
+            features=tuple(name for name in possible if rng.random() < 0.5),
+            has_page=rng.random() < 0.25,
         )
         # People cost little: somebody always asks, and selects where neither a plan nor a PLC does.
         rates["request"] = 4.0
-        if not chosen.piece:
+        if not piece:
             rates["select part"] = 4.0
-        elif chosen.plc:
+        elif plc:
             rates["begin piece"] = 4.0
         if is_small(chosen.outbox_mb):  # it is filled, and then the station begins anew
             rates |= dict.fromkeys(("hang up", "stop"), 4.0)
         if rng.random() < 0.2:
             rates["hang"] = 4.0
-        features = tuple(name for name in (SNAPSHOT, REFERENCE, OVERVIEW) if rng.random() < 0.5)
-        if plc or piece or trigger == "command":  # a person asks for a master piece, and the code selects
-            features = tuple(name for name in features if name == SNAPSHOT)
-        chosen = replace(chosen, stamps_late=rng.random() < 0.5, features=features)
-        rates |= {"say": 4.0, **dict.fromkeys(features, 4.0)}
-        if seed % 3 == 0:
-            rates[LATER[seed // 3 % len(LATER)]] = 4.0
+        rates |= {"say": 4.0, **dict.fromkeys(chosen.features, 4.0)}
         rates.setdefault("hang up", 1.0)
-        own = random.Random(f"{seed} chosen later")
-        chosen = replace(chosen, has_page=own.random() < 0.25, has_serial=own.random() < 0.5)
-        if "lose power" in chosen.faults:  # what a file has not synced is lost then alone
-            chosen = replace(chosen, has_file=True)
-        disturbed = {"second plc": 1.0, **rates, "plc": 6.0}
-        return replace(chosen, rates=disturbed) if chosen.plc and "plc" in names else chosen
+        if plc:
+            rates = {"second plc": 1.0, **rates, "plc": 6.0}
+        chosen = replace(chosen, rates=rates)
+        # What a file has not synced is lost with the power alone.
+        return replace(chosen, has_file=chosen.has_file or "lose power" in chosen.faults)

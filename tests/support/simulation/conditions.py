@@ -6,7 +6,7 @@ from itertools import pairwise
 
 from simulation.brokers import Broker
 from simulation.bundles import PARTS
-from simulation.faults import MOODS
+from simulation.chosen import MOODS
 from simulation.lives import Station
 from simulation.options import MESSAGES
 from simulation.outputs import GATE, LAMP, OVERLOAD, REJECT

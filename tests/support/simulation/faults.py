@@ -1,4 +1,5 @@
-"""The faults that a schedule draws: each begins one, and returns how long it lasts, in seconds."""
+"""The faults that a schedule draws: each begins one, and returns how long it lasts, in seconds; less than 0 where it
+could not begin, and when it is to be tried again."""
 
 import random
 from collections.abc import Callable
@@ -6,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from edge.core.errors import StoreError
 from simulation.asked import ASKED
-from simulation.chosen import OVERVIEW, is_small
+from simulation.chosen import MOODS, OVERVIEW, is_small
 from simulation.outputs import LAMP
 from simulation.overview_camera import disturb_overview
 from simulation.people import PEOPLE
@@ -38,6 +39,14 @@ def _let_lie(run: "Simulation", rng: random.Random, lasts_s: float) -> None:
         run.reach("a part lay there before and after a time without sight")
 
 
+def _until_next_part(run: "Simulation", rng: random.Random, lasts_s: float) -> float:
+    """Return how long a fault lasts: mostly, where a part lies there, until the gel was free for a while and the next
+    one is about to be pressed, so that it is seen free once, or not at all."""
+    hand = run.world.hand
+    ends_s = hand.free_s - rng.choice((0, 1, 2)) / run.chosen.fps
+    return ends_s if hand.press is not None and ends_s > 0.3 and rng.random() < 0.6 else lasts_s
+
+
 def unplug(run: "Simulation", rng: random.Random) -> float:
     """The sensor's cable is pulled, and comes back; or another sensor is plugged in for a while."""
     sensor = run.world.sensor
@@ -60,7 +69,7 @@ def unplug(run: "Simulation", rng: random.Random) -> float:
 def silence(run: "Simulation", rng: random.Random) -> float:
     """The sensor gives no frame, and stays on the bus; or a part is put down meanwhile, and lies until it is seen."""
     sensor, hand, begun_ns = run.world.sensor, run.world.hand, run.world.clock.now_ns
-    lasts_s, is_held = rng.choice((0.3, 1.5, 6, 9)), rng.random() < 0.7
+    lasts_s, is_held = _until_next_part(run, rng, rng.choice((0.3, 1.5, 6, 9))), rng.random() < 0.7
     if is_held and hand.is_pressing_soon:
         lasts_s, hand.has_dented = hand.free_s + 0.4, True
     _let_lie(run, rng, lasts_s)
@@ -122,33 +131,20 @@ def hold_back(run: "Simulation", rng: random.Random) -> float:
 
 # Brokers
 
-MOODS = (
-    *(
-        "away",
-        "restarts without memory",
-        "silent",
-        "forgets answers",
-        "refuses",
-        "restarts without memory",
-        "kicks",
-        "is narrow",
-    ),
-    *("doubles", "delays", "answers late", "answers another", "ignores", "denies", "lets one in"),
-)
-
 
 def hang_up(run: "Simulation", rng: random.Random) -> float:
     """A broker is away, or has another of its moods."""
     broker = rng.choice(list(run.world.brokers.values()))
     is_mostly_away = is_small(run.chosen.outbox_mb) or run.is_full_and_away
     mood = rng.choice(MOODS) if rng.random() < (0.25 if is_mostly_away else 0.75) else "away"
+    mood = rng.choice(run.chosen.moods) if run.chosen.moods else mood
     broker.chosen_kind = rng.choice(("result", "heatmap", "gel", "alarm", "info"))
     run.reach(f"a broker {mood}")
     broker.go("away" if mood == "restarts without memory" else mood)
     if mood == "restarts without memory":
         broker.retained.clear()
-    times_s = (8, 8, 20, 20) if run.is_full_and_away else (1, 4, 8, 20)
-    lasts_s = rng.choice(times_s) * (4 if is_small(run.chosen.outbox_mb) else 1)
+    times_s = (8, 8, 20, 20) if is_mostly_away else (1, 4, 4, 8, 20)
+    lasts_s = rng.choice(times_s) * (2 if is_small(run.chosen.outbox_mb) else 1)
     return run.for_a_while(f"{broker.name} {broker.mood}", lasts_s, broker.mend)
 
 
@@ -215,24 +211,25 @@ def bad_disk(run: "Simulation", rng: random.Random) -> float:
 def lock_database(run: "Simulation", rng: random.Random) -> float:
     """Another program locks the database: a shell, a check or a backup; or it is alone while the station starts."""
     locker, kind = run.station.disk.locker, rng.choice(("writes", "writes", "writes", "reads", "is alone"))
-    lasts_s = rng.choice((0.05, 0.6, 2.0, 4.0, 8.0, 15.0, 30.0))
+    lasts_s = rng.choice((0.6, 2.0, 4.0, 8.0, 15.0, 30.0))
 
     def leave() -> None:
         locker.leave()
         locker.left_ns = run.world.clock.now_ns
 
-    def lock() -> None:
-        if run.station.loop.parts.selection.is_waiting:
-            run.world.parts.forget(run.world.clock.now_ns)
-        if locker.take(kind):
+    def lock() -> bool:
+        is_taken = locker.take(kind)
+        if is_taken:
+            if run.station.loop.parts.selection.is_waiting:
+                run.world.parts.forget(run.world.clock.now_ns)
             run.reach(f"another program {kind} at the database")
             run.for_a_while("database locked", lasts_s, leave, is_sensors=True)
+        return is_taken
 
     if kind == "is alone" and not run.ending.keys() & {"database locked", "disk full", "disk errs"}:
         stop(run, rng, lock)
-    else:
-        lock()
-    return lasts_s
+        return lasts_s
+    return lasts_s if lock() else -0.1
 
 
 # Clock
@@ -259,7 +256,7 @@ def step_clock(run: "Simulation", rng: random.Random) -> float:
 # The process
 
 
-def stop(run: "Simulation", rng: random.Random, meanwhile: Callable[[], None] = lambda: None) -> float:
+def stop(run: "Simulation", rng: random.Random, meanwhile: Callable[[], object] = lambda: None) -> float:
     """The service is restarted: SIGTERM."""
     run.note("stopped in order")
     run.world.sensor.disturb("the gateway was restarted")
@@ -280,7 +277,7 @@ def lose_database(run: "Simulation", rng: random.Random) -> float:
     """Somebody removes the database while the service is stopped."""
     # The second record of the count, that may be one press behind after a power cut, is mended with the first frame.
     if run.station.is_disk_disturbed or run.station.loop.session is None:
-        return 0.5
+        return -0.5
     stop(run, rng, run.station.lose_database)
     run.world.parts.forget(run.world.clock.now_ns)
     run.reach("the database was removed")
@@ -319,6 +316,7 @@ def freeze(run: "Simulation", rng: random.Random) -> float:
         if run.world.relay.well_since_ns > began_ns:
             run.world.relay.well_since_ns = run.world.clock.now_ns
 
+    lasts_s = _until_next_part(run, rng, lasts_s)
     _let_lie(run, rng, lasts_s)
     run.freeze(lasts_s)
     return run.for_a_while("process frozen", lasts_s, go_on, is_sensors=True)
@@ -334,9 +332,10 @@ def hang(run: "Simulation", rng: random.Random) -> float:
 
     def begin() -> None:
         station.is_hanging = True
-        run.for_a_while("loop hangs", lasts_s, go_on, is_sensors=True)
+        run.for_a_while("loop hangs", _until_next_part(run, rng, lasts_s), go_on, is_sensors=True)
 
-    station.hangs_in, station.on_hang = rng.choice(("a turn", "a verdict", "a commit")), begin
+    places = ("a turn", "a verdict", "a verdict", "a commit")
+    station.hangs_in, station.on_hang = rng.choice(places), begin
     return lasts_s
 
 
@@ -483,9 +482,15 @@ FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
 
 def _is_pressed_unjudged(run: "Simulation") -> bool:
     """A press was noticed, and has no verdict yet."""
-    press, seen = run.world.hand.press, run.station.seen
+    press = run.world.hand.press
     is_noticed = press is not None and run.world.clock.now_ns - press.begin_ns > run.world.noticed_s * S
-    return press is not None and is_noticed and not (seen and seen[-1].noted_ns > press.begin_ns)
+    return is_noticed and _is_unjudged(run)
+
+
+def _is_unjudged(run: "Simulation") -> bool:
+    """A press has no verdict yet."""
+    press, seen = run.world.hand.press, run.station.seen
+    return press is not None and not (seen and seen[-1].noted_ns > press.begin_ns)
 
 
 def _is_pressed_judged(run: "Simulation") -> bool:
@@ -519,7 +524,9 @@ def _is_press_waiting(run: "Simulation") -> bool:
 def _is_loss_unread(run: "Simulation") -> bool:
     """A press waits for room, a result for its broker, or messages were dropped from a full outbox, and nobody has
     acknowledged it."""
-    return _is_press_waiting(run) or _is_result_waiting(run) or run.station.is_drop_open
+    if is_small(run.chosen.outbox_mb):
+        return run.station.is_drop_open
+    return _is_press_waiting(run) or _is_result_waiting(run)
 
 
 def _is_press_unrecorded(run: "Simulation") -> bool:
@@ -560,8 +567,8 @@ MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
     "hold back": _is_pressed_unjudged,
     "fill disk": lambda run: "hang up" not in run.meeting or _is_result_unsent(run),
     "unplug": _is_pressed_judged,
-    "lock database": _is_pressed_unjudged,
-    "exchange bundle": _is_pressed_unjudged,
+    "lock database": _is_unjudged,
+    "exchange bundle": _is_unjudged,
     "begin piece": _is_piece_asked_for,
 }
 """When a fault does most harm: every other one waits for it."""

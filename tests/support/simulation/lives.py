@@ -206,8 +206,13 @@ class Station:
         return (
             all(state.get("state") == "ready" for state in states)
             and not parts.publisher.outbox_status().rows
-            and not find_lasting(self)
+            and not (find_lasting(self) or self.is_drop_unsaid)
         )
+
+    @property
+    def is_drop_unsaid(self) -> bool:
+        """Messages were dropped from a full outbox, and no alarm says so yet."""
+        return self.is_drop_open and "outbox_full" not in self.loop.parts.status.view().alarms
 
     @property
     def is_disk_disturbed(self) -> bool:
@@ -218,7 +223,7 @@ class Station:
     @property
     def is_held_up(self) -> bool:
         """It gets no time, or each flush of the disk takes its own."""
-        return self.is_frozen or self.is_hanging or self.is_disk_slow
+        return not self.is_between_turns or self.is_disk_slow
 
     @property
     def is_between_turns(self) -> bool:

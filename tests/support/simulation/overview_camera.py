@@ -123,7 +123,7 @@ def disturb_overview(run: "Simulation", rng: random.Random) -> float:
     """The overview camera is unplugged, hangs, or gives broken pictures."""
     camera, mood = run.world.overview, rng.choice(("unplugged", "silent", "frozen", "broken"))
     if camera is None or camera.mood != "up":
-        return 60.0 if camera is None else 1.0
+        return 60.0 if camera is None else -1.0
     camera.go(mood)
     return run.for_a_while(f"overview {mood}", rng.choice((0.5, 2.5, 6.0, 12.0)), camera.mend)
 

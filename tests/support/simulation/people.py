@@ -18,7 +18,7 @@ def replace_gel(run: "Simulation", rng: random.Random) -> float:
     after what it saw before."""
     hand = run.world.hand
     if hand.press is not None or run.world.sensor.is_behind:
-        return 0.1
+        return -0.1
     hand.wait(4)
     try:
         run.world.gels.select(run.world.clock.now_ns, run.station.ask("replace_gel")["gel_id"])
@@ -42,12 +42,15 @@ def select_part(run: "Simulation", rng: random.Random) -> float:
     if run.world.has_pieces:
         return 60.0
     if any(plc.has_just_asked for plc in run.world.plcs):
-        return 0.1
+        return -0.1
     part = PARTS[1 - PARTS.index(parts.wanted)]
     try:
         answer = run.station.ask("select_part", part=part, position="pos1")
     except GelgateError as error:
         run.note(f"part {part} is not selected: {error}")
+        return 0.0
+    except ValueError as error:
+        run.station.found.append(f"part {part} cannot be selected, and a bundle of it was opened: {error}")
         return 0.0
     parts.select(run.world.clock.now_ns, part)
     if run.station.disk.is_dead:
@@ -67,15 +70,15 @@ def begin_piece(run: "Simulation", rng: random.Random) -> float:
         return 60.0
     # The station may hear of the piece that a PLC names only after this one.
     if any(plc.has_just_asked for plc in run.world.plcs):
-        return 0.1
-    name = f"piece by hand {run.run.counted['begin piece']}"
+        return -0.1
+    name = f"piece by hand {now_ns // 1_000_000}"
     try:
         run.station.ask("begin_piece", piece_id=name)
     except ValueError:  # something presses, or waits to be recorded
-        return 0.5
+        return -0.5
     except GelgateError:  # the commit may have been made
         pieces.forget(now_ns)
-        return 0.5
+        return -0.5
     pieces.select(now_ns, name)
     if run.station.disk.is_dead:
         pieces.forget(now_ns)
@@ -122,11 +125,11 @@ def acknowledge(run: "Simulation", rng: random.Random) -> float:
         try:
             station.ask("acknowledge_alarm", alarm=alarm)
         except StoreError:  # the answer is an error, and the alarm stays
-            return 0.5
+            return -0.5
         run.reach(f"the alarm {alarm} was acknowledged")
         station.is_loss_open &= alarm != "counts"
         station.is_drop_open &= alarm != "outbox_full"
-    return 0.0 if raised else 0.5
+    return 0.0 if raised else -0.5
 
 
 PEOPLE: "dict[str, Callable[[Simulation, random.Random], float]]" = {

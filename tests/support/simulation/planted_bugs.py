@@ -212,9 +212,13 @@ BUGS = (
     Bug(
         "the next press may be lifted with the word of the last",
         "edge/core/contact_state.py",
-        "        if isinstance(event, PressBegan | PressEnded):\n            self.press_id",
-        "        if False:\n            self.press_id",
-        "lift was shown .* not recorded yet",
+        "            self.press_id, self._is_recorded = None, False\n"
+        "        elif isinstance(event, PressSettled) and event.is_held and not self._is_overloaded:\n"
+        '            self.state = "at_rest"',
+        "            self.press_id = None\n"
+        "        elif isinstance(event, PressSettled) and event.is_held and not self._is_overloaded:\n"
+        '            self.state = "lift" if self._is_recorded else "at_rest"',
+        "lift was shown .* not recorded yet|lift of the press .*, which is not recorded",
     ),
     Bug(
         "a PLC is answered by the press that is held",
@@ -419,14 +423,14 @@ BUGS = (
         "edge/gateway/opening.py",
         "                        if earlier and before.may_inspect(earlier)\n",
         "                        if False\n",
-        "is still raised|retains the state|was to be opened",
+        "cannot be selected|is still raised|retains the state|was to be opened",
     ),
     Bug(
         "of two sensors one is taken",
         "plugins/devices/uvc/identity.py",
         "    if len(chosen) == 1:\n        return chosen[0]\n",
         "    if chosen:\n        return chosen[-1]\n",
-        "of a second sensor|another sensor than",
+        "of a second sensor|another sensor than|the alarm device is still raised",
     ),
     Bug(
         "a page keeps its verdict over a halt",

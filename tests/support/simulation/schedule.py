@@ -107,7 +107,7 @@ class Simulation:
     ) -> None:
         self.chosen = chosen or Chosen.of(seed, list(FAULTS))
         self.rng = random.Random(f"{seed} turns")
-        presses = presses or (30 if is_small(self.chosen.outbox_mb) else 20)  # which fill it
+        presses = presses or (30 if is_small(self.chosen.outbox_mb) else 22)  # which fill it
         self.run = Run(seed, presses, self.chosen)
         self.world = World(seed, self.chosen)
         self.world.hand.most_presses = presses
@@ -265,8 +265,11 @@ class Simulation:
         )
         if is_aimed and rng.random() < PATIENCE and not MOMENTS[name](self):
             return 0.1
+        lasts_s = self._begin(name, rng.getrandbits(32))
+        if lasts_s < 0:  # tried again so soon
+            return -lasts_s
         self._aimed ^= {name} & set(MOMENTS)
-        return self._begin(name, rng.getrandbits(32)) + rng.expovariate(rate / 60)
+        return lasts_s + rng.expovariate(rate / 60)
 
     def _given_faults(self, schedule: Sequence[Fault]) -> Iterator[Actor]:
         for number, fault in enumerate(schedule):
@@ -283,10 +286,15 @@ class Simulation:
         return 1e6
 
     def _begin(self, name: str, seed: int) -> float:
-        """Begin a fault; returns how long it lasts."""
-        self.run.schedule.append(Fault(round(self.world.clock.now_ns / S, 6), name, seed))
-        self.run.counted[name] += 1
-        return FAULTS[name](self, random.Random(seed))
+        """Begin a fault; returns how long it lasts. Less than 0: none has begun, and it is no part of the schedule."""
+        fault = Fault(round(self.world.clock.now_ns / S, 6), name, seed)
+        self.run.schedule.append(fault)
+        lasts_s = FAULTS[name](self, random.Random(seed))
+        if lasts_s < 0:
+            self.run.schedule.remove(fault)
+        else:
+            self.run.counted[name] += 1
+        return lasts_s
 
     def join(self, name: str, act: Callable[[], float]) -> Callable[[], None]:
         """Let somebody else take turns, until what is returned is called."""

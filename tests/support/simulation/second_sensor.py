@@ -42,7 +42,7 @@ def plug_second(run: "Simulation", rng: random.Random) -> float:
 
     sensor, is_named = run.world.sensor, run.chosen.has_serial
     if sensor.has_second or run.station.loop.session is None:
-        return 1.0
+        return -1.0
     sensor.has_second, lasts_s = True, rng.choice((2.0, 6.0, 15.0))
     what = rng.choice(("stays", "stays", "first is unplugged", "restart"))
 

@@ -104,7 +104,7 @@ class Threads:
         if self._run.station.is_disk_disturbed or self._run.station.loop.is_halted:
             for made in hand.presses[-2:]:
                 made.may_count = True
-        if self._run.station.is_hanging:
+        if not self._run.station.is_between_turns and not self._run.station.is_frozen:
             self._run.station.loop.watch()  # each second, by a thread of its own
         self._wake(self._reader)
         return (sensor.next_ns - self._run.world.clock.now_ns) / S
