@@ -109,7 +109,7 @@ FAMILIES = (
     Family({"plc": 12, "second plc": 4, "select part": 10, "silence": 2}, {"plc": "modbus"}),
     Family({"second sensor": 20, "kill start": 6, "stop hanging": 6, "lose database": 4}),
     Family({"hang up": 40, "stop": 4, "step clock": 6}, {"moods": CONNECTIONS}),
-    Family({"hang up": 40, "kill": 6, "stop": 4}, {"moods": ANSWERS}),
+    Family({"hang up": 40, "kill": 6, "stop": 4}, {"moods": ANSWERS, "level": "5"}),
     Family({"lose power": 10, "kill": 6, "replace gel": 3}, {"has_file": True, "has_archive": True}),
     Family({"silence": 10, "unplug": 8, "hold back": 6, "blind": 6, "kill": 4}),
     Family({"plc": 12, "begin piece": 10, "stop": 3}, {"plc": "opcua", "piece": "free"}),

@@ -25,8 +25,9 @@ from simulation.auditors_retained import audit_retained
 from simulation.chosen import MET, OVERVIEW, REFERENCE, TURN_S, Chosen, Fault, is_small
 from simulation.conditions import reached_at_end
 from simulation.connections import AT_ONCE_S, connecting
-from simulation.faults import FAULTS, MOMENTS, NEEDS_ANSWER, NEEDS_DISK, WAIT_FIRST, is_held_up
+from simulation.faults import FAULTS, NEEDS_ANSWER, NEEDS_DISK
 from simulation.lives import Station
+from simulation.moments import MOMENTS, WAIT_FIRST, is_held_up
 from simulation.options import MESSAGES, SECRET
 from simulation.outputs import TABLES
 from simulation.overview_camera import TABLE as OVERVIEW_TABLE

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simulation.bundles import PARTS
+from simulation.process_faults import stop
 
 if TYPE_CHECKING:
     from simulation.schedule import Simulation
@@ -91,8 +92,6 @@ def _identify(path: Path) -> str:
 def exchange_bundle(run: "Simulation", rng: random.Random) -> float:
     """A person exchanges the bundle of a part, and mostly has it opened, or starts the service again; what is wrong
     is found later, and mended."""
-    from simulation.faults import stop
-
     shelf, station = run.world.shelf, run.station
     if shelf.wrong:
         return -1.0

@@ -1,0 +1,110 @@
+"""Faults of the sensor (`faults.py`)."""
+
+import random
+from typing import TYPE_CHECKING
+
+from simulation.sensor import OTHER_SERIAL, SERIAL
+
+if TYPE_CHECKING:
+    from simulation.schedule import Simulation
+
+LONG_S = 3
+"""Nobody holds a part for so long until it is seen again."""
+
+
+def let_lie(run: "Simulation", rng: random.Random, lasts_s: float) -> None:
+    """Mostly let a part that is pressed now lie until it has been seen again for a while."""
+    hand = run.world.hand
+    if lasts_s < LONG_S and hand.press is not None and hand.is_down and rng.random() < 0.7:
+        hand.hold(lasts_s + 1)
+        run.reach("a part lay there before and after a time without sight")
+
+
+def until_next_part(run: "Simulation", rng: random.Random, lasts_s: float) -> float:
+    """Return how long a fault lasts: mostly, where a part lies there, until the gel was free for a while and the next
+    one is about to be pressed, so that it is seen free once, or not at all."""
+    hand = run.world.hand
+    ends_s = hand.free_s - rng.choice((0, 1, 2)) / run.chosen.fps
+    return ends_s if hand.press is not None and ends_s > 0.3 and rng.random() < 0.6 else lasts_s
+
+
+def unplug(run: "Simulation", rng: random.Random) -> float:
+    """The sensor's cable is pulled, and comes back; or another sensor is plugged in for a while."""
+    sensor = run.world.sensor
+    # A station that has not seen its own sensor yet takes any.
+    is_other = rng.random() < 0.4 and run.station.loop.session is not None
+    sensor.is_plugged, sensor.serial = is_other, OTHER_SERIAL if is_other else SERIAL
+    sensor.forget()
+
+    def plug() -> None:
+        sensor.is_plugged, sensor.serial = True, SERIAL
+        sensor.forget()
+
+    name = "another sensor" if is_other else "sensor unplugged"
+    # Another one that is gone at once was not opened.
+    lasts_s = rng.choice((12, 2, 12) if is_other else (0.2, 2, 12))
+    let_lie(run, rng, lasts_s)
+    return run.for_a_while(name, lasts_s, plug, is_sensors=True)
+
+
+def silence(run: "Simulation", rng: random.Random) -> float:
+    """The sensor gives no frame, and stays on the bus; or a part is put down meanwhile, and lies until it is seen."""
+    sensor, hand, begun_ns = run.world.sensor, run.world.hand, run.world.clock.now_ns
+    lasts_s, is_held = until_next_part(run, rng, rng.choice((0.3, 1.5, 6, 9))), rng.random() < 0.7
+    if is_held and hand.is_pressing_soon:
+        lasts_s, hand.has_dented = hand.free_s + 0.4, True
+    let_lie(run, rng, lasts_s)
+    sensor.is_silent = True
+
+    def speak() -> None:
+        sensor.is_silent = False
+        if is_held and hand.press and hand.press.begin_ns > begun_ns and hand.is_down:
+            hand.hold(1)
+            run.reach("a part that nobody saw put down lay there")
+
+    return run.for_a_while("sensor silent", lasts_s, speak, is_sensors=True)
+
+
+def blind(run: "Simulation", rng: random.Random) -> float:
+    """The sensor gives the same bytes again and again, or shows nothing."""
+    sensor = run.world.sensor
+    name = rng.choice(("sensor frozen", "sensor covered"))
+    sensor.is_frozen, sensor.is_covered = name == "sensor frozen", name == "sensor covered"
+
+    def see() -> None:
+        sensor.is_frozen = sensor.is_covered = False
+
+    return run.for_a_while(name, rng.choice((0.3, 1.5, 6, 9)), see, is_sensors=True)
+
+
+def damage(run: "Simulation", rng: random.Random) -> float:
+    """Some frames end in the middle, or have a hole."""
+    sensor, kind = run.world.sensor, rng.choice(("corrupt", "truncated", "broken inside"))
+    sensor.damage = (kind, rng.choice((0.02, 0.3, 1.0)))
+
+    def mend() -> None:
+        sensor.damage = ("", 0.0)
+
+    return run.for_a_while(f"frames {kind}", rng.choice((0.5, 2, 5, 12)), mend, is_sensors=True)
+
+
+def shake(run: "Simulation", rng: random.Random) -> float:
+    """Frames come irregularly."""
+    sensor = run.world.sensor
+    sensor.jitter_share = rng.choice((0.2, 0.6))
+
+    def calm() -> None:
+        sensor.jitter_share = 0.0
+
+    return run.for_a_while("frames jitter", rng.uniform(1, 10), calm, is_sensors=True)
+
+
+def hold_back(run: "Simulation", rng: random.Random) -> float:
+    """The bus gives nothing for a moment, then all of it in a burst."""
+    sensor = run.world.sensor
+    sensor.is_holding = True
+
+    def burst() -> None:
+        sensor.is_holding = False
+
+    return run.for_a_while("frames in a burst", rng.choice((0.15, 0.6, 1.7)), burst, is_sensors=True)
