@@ -27,15 +27,14 @@ def is_small(outbox_mb: float) -> bool:
 SNAPSHOT, REFERENCE, OVERVIEW = "snapshot", "reference_press", "overview"
 """Features, two by the requests that they serve."""
 
+FULL = (("fill disk", "kill", "hang up"), ("fill disk", "lose power"), ("fill disk", "replace gel"))
 MEETINGS = (
+    *FULL,
     ("silence",),
     ("blind",),
     ("damage",),
     ("freeze", "hold back"),
     ("kill",),
-    ("fill disk", "kill", "hang up"),
-    ("fill disk", "lose power"),
-    ("fill disk", "replace gel"),
     ("select part", "replace gel"),
     ("hang up", "kill"),
     ("hang up", "stop"),
@@ -94,7 +93,7 @@ class Family:
 
 
 FAMILIES = (
-    Family({"select part": 30, "stop": 4}, {"trigger": "command"}),
+    Family({"select part": 30, "stop": 4}, {"trigger": "command", "is_slow": True}),
     Family({"hang": 20, "freeze": 6, "relay": 4}, {"has_robot": True}),
     Family({"lock database": 60}),
     Family({"exchange bundle": 30, "select part": 6, "reload": 4}),
@@ -106,14 +105,14 @@ FAMILIES = (
         {"say": 20, SNAPSHOT: 20, "adopt": 6, "lose power": 2},
         {"has_shadow": True, "features": (SNAPSHOT,)},
     ),
-    Family({"plc": 12, "second plc": 4, "select part": 10, "silence": 2}, {"plc": "modbus"}),
+    Family({"plc": 5, "second plc": 2, "select part": 8, "silence": 1}, {"plc": "modbus", "is_slow": True}),
     Family({"second sensor": 20, "kill start": 6, "stop hanging": 6, "lose database": 4}),
     Family({"hang up": 40, "stop": 4, "step clock": 6}, {"moods": CONNECTIONS}),
     Family({"hang up": 40, "kill": 6, "stop": 4}, {"moods": ANSWERS, "level": "5"}),
     Family({"lose power": 10, "kill": 6, "replace gel": 3}, {"has_file": True, "has_archive": True}),
     Family({"silence": 10, "unplug": 8, "hold back": 6, "blind": 6, "kill": 4}),
-    Family({"plc": 12, "begin piece": 10, "stop": 3}, {"plc": "opcua", "piece": "free"}),
-    Family({"fill disk": 8, "bad disk": 8, "kill": 6, "hang up": 6, "replace gel": 4}),
+    Family({"plc": 5, "begin piece": 8, "stop": 2}, {"plc": "opcua", "piece": "free", "is_slow": True}),
+    Family({"bad disk": 4, "acknowledge": 2}, {"meetings": FULL}),
 )
 """Two of three seeds have one of them alone, and take turns: what meets everything else in the third is rare."""
 
@@ -154,6 +153,8 @@ class Chosen:
     """Of brokers; empty for mostly `away`, and else any."""
     features: tuple[str, ...] = ()
     """Those that are configured beside what each station has."""
+    is_slow: bool = False
+    """The hand presses slowly, so that much may come between a press and its verdict."""
     stamps_late: bool = False
     """The driver stamps a frame when it is read, as both that are built in do, and not when it was made."""
 
@@ -178,6 +179,7 @@ class Chosen:
             has_robot=rng.random() < 0.3,
             has_serial=number // 8 % 2 == 1,
             forgets=number % 2 == 0,
+            is_slow=rng.random() < 0.2,
             stamps_late=rng.random() < 0.5,
         )
         if seed % 3:

@@ -14,17 +14,17 @@ WAITS_S = 4
 """A broker is away for so long, and then a result waits for it."""
 
 
-def is_pressed_unjudged(run: "Simulation") -> bool:
-    """A press was noticed, and has no verdict yet."""
-    press = run.world.hand.press
-    is_noticed = press is not None and run.world.clock.now_ns - press.begin_ns > run.world.noticed_s * S
-    return is_noticed and _is_unjudged(run)
-
-
-def _is_unjudged(run: "Simulation") -> bool:
+def is_unjudged(run: "Simulation") -> bool:
     """A press has no verdict yet."""
     press, seen = run.world.hand.press, run.station.seen
     return press is not None and not (seen and seen[-1].noted_ns > press.begin_ns)
+
+
+def _is_noticed_unjudged(run: "Simulation") -> bool:
+    """A press was noticed, and has no verdict yet. Of a slow sensor only those are that rest late."""
+    press = run.world.hand.press
+    is_noticed = press is not None and run.world.clock.now_ns - press.begin_ns > run.world.noticed_s * S
+    return is_noticed and is_unjudged(run)
 
 
 def _is_pressed_judged(run: "Simulation") -> bool:
@@ -67,7 +67,7 @@ def _is_press_unrecorded(run: "Simulation") -> bool:
     """A press has no row: it waits for room on the disk, or its verdict comes next."""
     is_full = run.station.disk.is_full or "fill disk" in run.meeting
     is_unsent = "hang up" not in run.meeting or _is_result_unsent(run)
-    return _is_press_waiting(run) and is_unsent if is_full else is_pressed_unjudged(run)
+    return _is_press_waiting(run) and is_unsent if is_full else is_unjudged(run)
 
 
 def is_held_up(run: "Simulation") -> bool:
@@ -90,7 +90,7 @@ def _is_result_unsent(run: "Simulation") -> bool:
 
 
 MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
-    "select part": lambda run: is_pressed_unjudged(run) or _is_part_asked_for(run),
+    "select part": lambda run: _is_noticed_unjudged(run) or _is_part_asked_for(run),
     "replace gel": lambda run: _is_pass_shown(run) or run.station.disk.is_full,
     "kill": _is_press_unrecorded,
     "lose power": _is_press_unrecorded,
@@ -98,11 +98,12 @@ MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
     "step clock": _is_result_waiting,
     "silence": lambda run: run.world.hand.is_pressing_soon,
     "blind": _is_pass_shown,
-    "hold back": is_pressed_unjudged,
+    "hold back": is_unjudged,
+    "freeze": is_unjudged,
     "fill disk": lambda run: "hang up" not in run.meeting or _is_result_unsent(run),
     "unplug": _is_pressed_judged,
-    "lock database": _is_unjudged,
-    "exchange bundle": _is_unjudged,
+    "lock database": is_unjudged,
+    "exchange bundle": is_unjudged,
     "begin piece": _is_piece_asked_for,
 }
 """When a fault does most harm: every other one waits for it."""

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from edge.core.errors import StoreError
-from simulation.moments import is_pressed_unjudged
+from simulation.moments import is_unjudged
 from simulation.sensor_faults import let_lie, until_next_part
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def lose_power(run: "Simulation", rng: random.Random) -> float:
 
 def _next_writes(run: "Simulation", rng: random.Random) -> int:
     """One press and its answers take some 25; of a verdict that comes next, and of a full disk, the first are meant."""
-    return rng.randint(1, 4 if run.station.disk.is_full or is_pressed_unjudged(run) else 25)
+    return rng.randint(1, 4 if run.station.disk.is_full or is_unjudged(run) else 25)
 
 
 def freeze(run: "Simulation", rng: random.Random) -> float:

@@ -32,7 +32,7 @@ from simulation.options import MESSAGES, SECRET
 from simulation.outputs import TABLES
 from simulation.overview_camera import TABLE as OVERVIEW_TABLE
 from simulation.pieces import PIECE
-from simulation.plc import HANDSHAKE
+from simulation.plc import HANDSHAKE, TIMEOUT_S
 from simulation.power import listening
 from simulation.sensor import SERIAL, S
 from simulation.shelf import Shelf
@@ -65,7 +65,7 @@ secret_file = "{secret}"
 """
 RECORDED_S = 3
 """So long after its end the last press is recorded."""
-PATIENCE = 0.997
+PATIENCE = 0.99
 """Of a fault that waits for its moment, each tenth of a second."""
 BROKERS_S = 0.8
 """So long after its begin a station has seen its sensor, and recorded no press."""
@@ -223,7 +223,8 @@ class Simulation:
             return False
         self._asked_ns = self.world.clock.now_ns
         is_late = self._asked_ns > self._calm_ns + CALM_S * S
-        is_recorded = self._asked_ns > self._calm_ns + RECORDED_S * S
+        least_s = 2 * TIMEOUT_S if self.world.has_plc else RECORDED_S  # a trigger waits in vain for a press
+        is_recorded = self._asked_ns > self._calm_ns + least_s * S
         is_calm = is_recorded and self.station.is_calm
         said = chain(audit_retained(self.world, self.station), audit_pieces(self.world, self.station))
         return is_late or (is_calm and not any(said))  # a PLC goes on, and what it began may be under way

@@ -112,6 +112,7 @@ class World:
             random.Random(f"{seed} sensor"), self.clock, chosen.fps, stamps_late=chosen.stamps_late
         )
         self.hand = self.sensor.hand
+        self.hand.is_slow = chosen.is_slow
         names = [f"broker{number}" for number in range(chosen.brokers)]
         self.brokers = {
             name: Broker(name, random.Random(f"{seed} {name}"), self.clock, chosen.level) for name in names
