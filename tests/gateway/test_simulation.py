@@ -39,7 +39,7 @@ def bundles(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return both_bundles(tmp_path_factory.mktemp("bundles"))
 
 
-@pytest.mark.parametrize("seed", range(1, 3))
+@pytest.mark.parametrize("seed", range(3))
 def test_nothing_that_must_not_be(seed: int, bundles: list[Path], tmp_path: Path) -> None:
     """Killed, unplugged, without room, without a broker, with another clock: each press once, none passed unjudged."""
     run = Simulation(seed, 8, bundles, tmp_path / "run").play()

@@ -75,12 +75,13 @@ WORK = (
 a part select."""
 
 
-CONNECTIONS = ("away", "restarts without memory", "silent", "kicks", "denies", "lets one in")
-ANSWERS = (
-    *("forgets answers", "refuses", "is narrow", "doubles", "delays", "answers late", "answers another"),
-    "ignores",
+MOODS = (
+    *("away", "restarts without memory", "silent", "forgets answers", "refuses", "restarts without memory"),
+    *("kicks", "is narrow", "doubles", "delays", "answers late", "answers another", "ignores", "denies"),
+    "lets one in",
 )
-MOODS = (*CONNECTIONS, "restarts without memory", *ANSWERS)
+CONNECTIONS = ("away", "restarts without memory", "silent", "kicks", "denies", "lets one in")
+ANSWERS = tuple(mood for mood in MOODS if mood not in CONNECTIONS)
 """What brokers may do."""
 
 
@@ -94,12 +95,14 @@ class Family:
 
 FAMILIES = (
     Family({"select part": 30, "stop": 4}, {"trigger": "command", "is_slow": True}),
-    Family({"hang": 20, "freeze": 6, "relay": 4}, {"has_robot": True}),
-    Family({"lock database": 60}),
+    Family({"hang": 20, "freeze": 6, "relay": 4}, {"has_robot": True, "until_next": True, "presses": 40}),
+    Family({"lock database": 60}, {"presses": 40}),
     Family({"exchange bundle": 30, "select part": 6, "reload": 4}),
     Family({REFERENCE: 12, "replace gel": 6, "relearn": 3}, {"features": (REFERENCE,)}),
-    Family({OVERVIEW: 8}, {"features": (OVERVIEW,)}),
-    Family({"hang up": 30, "stop": 8}, {"outbox_mb": TINY_MB, "brokers": 1, "moods": ("away",)}),
+    Family({OVERVIEW: 12}, {"features": (OVERVIEW,), "presses": 40}),
+    Family(
+        {"hang up": 30, "stop": 8}, {"outbox_mb": TINY_MB, "presses": 40, "brokers": 1, "moods": ("away",)}
+    ),
     Family({"silence": 10, "unplug": 5, "stop": 6}, {"has_page": True}),
     Family(
         {"say": 20, SNAPSHOT: 20, "adopt": 6, "lose power": 2},
@@ -108,13 +111,16 @@ FAMILIES = (
     Family({"plc": 5, "second plc": 2, "select part": 8, "silence": 1}, {"plc": "modbus", "is_slow": True}),
     Family({"second sensor": 20, "kill start": 6, "stop hanging": 6, "lose database": 4}),
     Family({"hang up": 40, "stop": 4, "step clock": 6}, {"moods": CONNECTIONS}),
-    Family({"hang up": 40, "kill": 6, "stop": 4}, {"moods": ANSWERS, "level": "5"}),
+    Family(
+        {"hang up": 40, "kill": 6, "stop": 4, "bad disk": 3, "slow disk": 3}, {"moods": ANSWERS, "level": "5"}
+    ),
     Family({"lose power": 10, "kill": 6, "replace gel": 3}, {"has_file": True, "has_archive": True}),
     Family({"silence": 10, "unplug": 8, "hold back": 6, "blind": 6, "kill": 4}),
     Family({"plc": 5, "begin piece": 8, "stop": 2}, {"plc": "opcua", "piece": "free", "is_slow": True}),
-    Family({"bad disk": 4, "acknowledge": 2}, {"meetings": FULL}),
+    Family({"acknowledge": 2}, {"meetings": (FULL[0], FULL[1], FULL[0], FULL[2], FULL[0])}),
+    Family({"freeze": 20, "hold back": 10, "shake": 2, "damage": 2}, {"stamps_late": False}),
 )
-"""Two of three seeds have one of them alone, and take turns: what meets everything else in the third is rare."""
+"""Three of four seeds have one of them alone, and take turns: what meets everything else in the fourth is rare."""
 
 
 @dataclass(frozen=True)
@@ -149,12 +155,16 @@ class Chosen:
     """A browser asks it all the time."""
     forgets: bool = False
     """Each broker restarts without its memory when all faults have ended."""
+    presses: int = 22
+    """Of the hand, where nobody asks for another number."""
     moods: tuple[str, ...] = ()
     """Of brokers; empty for mostly `away`, and else any."""
     features: tuple[str, ...] = ()
     """Those that are configured beside what each station has."""
     is_slow: bool = False
     """The hand presses slowly, so that much may come between a press and its verdict."""
+    until_next: bool = False
+    """What stops sensor or process mostly ends as the next part comes."""
     stamps_late: bool = False
     """The driver stamps a frame when it is read, as both that are built in do, and not when it was made."""
 
@@ -165,8 +175,8 @@ class Chosen:
 
     @classmethod
     def of(cls, seed: int, names: Sequence[str]) -> "Chosen":
-        """Draw. Of three seeds that follow each other two have a family of faults each, and one has all kinds."""
-        rng, number = random.Random(f"{seed} chosen"), seed // 3
+        """Draw. Of four seeds that follow each other three have a family of faults each, and one has all kinds."""
+        rng, number = random.Random(f"{seed} chosen"), seed // 4
         chosen = cls(
             rng.choice((1, 2)),
             rng.random() < 0.8,
@@ -177,12 +187,13 @@ class Chosen:
             has_file=rng.random() < 0.25,
             has_shadow=rng.random() < 0.25,
             has_robot=rng.random() < 0.3,
-            has_serial=number // 8 % 2 == 1,
+            has_serial=number // 6 % 2 == 1,
             forgets=number % 2 == 0,
             is_slow=rng.random() < 0.2,
+            until_next=rng.random() < 0.5,
             stamps_late=rng.random() < 0.5,
         )
-        if seed % 3:
+        if seed % 4:
             family = FAMILIES[(seed - number - 1) % len(FAMILIES)]
             return replace(chosen, rates=family.rates, **family.options)
         return chosen._mix(number, names, rng)
@@ -216,6 +227,7 @@ class Chosen:
             rates["begin piece"] = 4.0
         if is_small(chosen.outbox_mb):  # it is filled, and then the station begins anew
             rates |= dict.fromkeys(("hang up", "stop"), 4.0)
+            chosen = replace(chosen, presses=30)
         if rng.random() < 0.2:
             rates["hang"] = 4.0
         rates |= {"say": 4.0, **dict.fromkeys(chosen.features, 4.0)}

@@ -69,7 +69,7 @@ def bad_disk(run: "Simulation", rng: random.Random) -> float:
 def lock_database(run: "Simulation", rng: random.Random) -> float:
     """Another program locks the database: a shell, a check or a backup; or it is alone while the station starts."""
     locker, kind = run.station.disk.locker, rng.choice(("writes", "writes", "writes", "reads", "is alone"))
-    lasts_s = rng.choice((0.6, 2.0, 4.0, 8.0, 15.0, 30.0))
+    lasts_s = rng.choice((0.05, 0.6, 2.0, 4.0, 8.0, 15.0, 30.0))
 
     def leave() -> None:
         locker.leave()

@@ -441,4 +441,77 @@ FAILED = (
         ),
         says="lift was shown at # s, and press # was not recorded yet",
     ),
+    # A PLC's cable was out for less than a frame: the auditor of alarms had not seen that its reason began anew.
+    Failure(
+        seed=263341807,
+        presses=2,
+        chosen=Chosen(
+            sloth_s=0.01,
+            fps=7.0,
+            has_file=True,
+            plc="modbus",
+            piece="fixed",
+            meetings=(("fill disk", "replace gel"), ("hang up", "step clock"), ("plc", "stop"), ("blind",)),
+            has_serial=True,
+            features=("snapshot",),
+        ),
+        schedule=(
+            Fault(at_s=3.815701, name="unplug", seed=3190417993),
+            Fault(at_s=15.602361, name="plc", seed=2746741543),
+        ),
+        says="the alarm plc is still raised # s after its reason went",
+    ),
+    # The simulator had a person select a part in the middle of a turn, whose hang had just ended.
+    Failure(
+        seed=263341817,
+        presses=6,
+        chosen=Chosen(
+            fps=9.0,
+            outbox_mb=0.01,
+            meetings=(
+                ("plc", "unplug"),
+                ("kill",),
+                ("select part", "replace gel"),
+                ("hang up", "lose database"),
+            ),
+            has_page=True,
+            features=("snapshot",),
+            stamps_late=True,
+        ),
+        schedule=(
+            Fault(at_s=2.367138, name="hang", seed=4126656373),
+            Fault(at_s=6.73688, name="unplug", seed=2607119129),
+            Fault(at_s=7.276874, name="hang", seed=1927982599),
+            Fault(at_s=9.52058, name="stop", seed=4057233361),
+            Fault(at_s=11.272336, name="slow disk", seed=1517863880),
+            Fault(at_s=17.256467, name="select part", seed=3937271371),
+        ),
+        says="press # is judged by bundle #f#c#e#, and told was dc#b",
+    ),
+    # A master piece was asked for while the station started, pressed unseen, and the next part was taken for it.
+    Failure(
+        seed=263341903,
+        presses=11,
+        chosen=Chosen(
+            sloth_s=0.03,
+            level="3.1.1",
+            has_file=True,
+            has_robot=True,
+            meetings=(("select part", "stop"), ("silence",), ("kill",), ("fill disk", "replace gel")),
+            has_serial=True,
+            features=("reference_press", "overview"),
+        ),
+        schedule=(
+            Fault(at_s=3.704022, name="stop", seed=1875825258),
+            Fault(at_s=3.964155, name="damage", seed=748558161),
+            Fault(at_s=8.83458, name="stop", seed=2036667293),
+            Fault(at_s=12.483014, name="silence", seed=1715800347),
+            Fault(at_s=15.571457, name="silence", seed=2845574931),
+            Fault(at_s=23.154591, name="kill", seed=3100285627),
+            Fault(at_s=23.293107, name="silence", seed=487149914),
+            Fault(at_s=24.290052, name="silence", seed=2573175106),
+            Fault(at_s=25.099357, name="reference_press", seed=1923024500),
+        ),
+        says="press # at # s is lost, without any fault",
+    ),
 )

@@ -67,13 +67,15 @@ def hang_up(run: "Simulation", rng: random.Random) -> float:
     is_mostly_away = is_small(run.chosen.outbox_mb) or run.is_full_and_away
     mood = rng.choice(MOODS) if rng.random() < (0.25 if is_mostly_away else 0.75) else "away"
     mood = rng.choice(run.chosen.moods) if run.chosen.moods else mood
-    broker.chosen_kind = rng.choice(("result", "result", "heatmap", "gel", "alarm", "info"))
+    broker.chosen_kind = rng.choice(("result", "heatmap", "gel", "alarm", "info"))
     run.reach(f"a broker {mood}")
     broker.go("away" if mood == "restarts without memory" else mood)
     if mood == "restarts without memory":
         broker.retained.clear()
-    times_s = (8, 8, 20, 20) if is_mostly_away else (1, 2, 4, 8) if run.chosen.moods else (1, 4, 8, 20)
-    lasts_s = rng.choice(times_s) * (2 if is_small(run.chosen.outbox_mb) else 1)
+    times_s = (8, 8, 20, 20) if run.is_full_and_away else (1, 4, 8, 20)
+    if run.chosen.moods:  # and nothing else
+        times_s = (4, 4, 10, 10) if is_small(run.chosen.outbox_mb) else (1, 2, 4, 8)
+    lasts_s = rng.choice(times_s) * (4 if is_small(run.chosen.outbox_mb) else 1)
     return run.for_a_while(f"{broker.name} {broker.mood}", lasts_s, broker.mend)
 
 

@@ -186,7 +186,7 @@ class Hand:
     def _begin(self, now_ns: int) -> None:
         what = self._rng.choices(("sound", "dented", "glaring"), (77, 20, 3))[0]
         what, self.has_dented = "dented" if self.has_dented else what, False
-        way = self._rng.choices(WAYS, (30, 40, 16, 4, 6, 4) if self.is_slow else (70, 8, 8, 4, 6, 4))[0]
+        way = self._rng.choices(WAYS, (30, 15, 41, 4, 6, 4) if self.is_slow else (70, 8, 8, 4, 6, 4))[0]
         self._was_off = False
         if self.master_ns:
             what, way = "sound", "steady"

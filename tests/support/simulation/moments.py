@@ -109,5 +109,5 @@ MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
 """When a fault does most harm: every other one waits for it."""
 
 
-WAIT_FIRST = {"step clock", "silence", "blind", "hold back", "unplug", "begin piece"}
+WAIT_FIRST = {"step clock", "silence", "blind", "hold back", "unplug", "begin piece", "freeze"}
 """Faults whose first one waits; of others a draw says whether it does."""

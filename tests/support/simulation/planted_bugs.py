@@ -225,7 +225,7 @@ BUGS = (
         "edge/core/handshake.py",
         "self._is_touched, self._is_command\n",
         "self._is_touched, True\n",
-        "had begun before it|no press after it",
+        "had begun before it|no press after it|has the verdict rejected, without any fault",
     ),
     Bug(
         "a pass stays at a PLC when the station halts",

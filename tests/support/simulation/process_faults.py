@@ -93,8 +93,7 @@ def hang(run: "Simulation", rng: random.Random) -> float:
         station.is_hanging = True
         run.for_a_while("loop hangs", until_next_part(run, rng, lasts_s), go_on, is_sensors=True)
 
-    places = ("a turn", "a verdict", "a verdict", "a commit")
-    station.hangs_in, station.on_hang = rng.choice(places), begin
+    station.hangs_in, station.on_hang = rng.choice(("a turn", "a verdict", "a commit")), begin
     return lasts_s
 
 

@@ -22,7 +22,7 @@ from simulation.auditors_outbox import ARCHIVED
 from simulation.auditors_page import audit_guesses, audit_page
 from simulation.auditors_pieces import audit_pieces
 from simulation.auditors_retained import audit_retained
-from simulation.chosen import MET, OVERVIEW, REFERENCE, TURN_S, Chosen, Fault, is_small
+from simulation.chosen import MET, OVERVIEW, REFERENCE, TURN_S, Chosen, Fault
 from simulation.conditions import reached_at_end
 from simulation.connections import AT_ONCE_S, connecting
 from simulation.faults import FAULTS, NEEDS_ANSWER, NEEDS_DISK
@@ -108,7 +108,7 @@ class Simulation:
     ) -> None:
         self.chosen = chosen or Chosen.of(seed, list(FAULTS))
         self.rng = random.Random(f"{seed} turns")
-        presses = presses or (30 if is_small(self.chosen.outbox_mb) else 22)  # which fill it
+        presses = presses or self.chosen.presses
         self.run = Run(seed, presses, self.chosen)
         self.world = World(seed, self.chosen)
         self.world.hand.most_presses = presses

@@ -21,9 +21,11 @@ def let_lie(run: "Simulation", rng: random.Random, lasts_s: float) -> None:
 
 
 def until_next_part(run: "Simulation", rng: random.Random, lasts_s: float) -> float:
-    """Return how long a fault lasts: mostly, where a part lies there, until the gel was free for a while and the next
-    one is about to be pressed, so that it is seen free once, or not at all."""
+    """Return how long a fault lasts: in some runs mostly, where a part lies there, until the next one is about to be
+    pressed, so that the free gel between them is seen once, or not at all."""
     hand = run.world.hand
+    if not run.chosen.until_next:
+        return lasts_s
     ends_s = hand.free_s - rng.choice((0, 1, 2)) / run.chosen.fps
     return ends_s if hand.press is not None and ends_s > 0.3 and rng.random() < 0.6 else lasts_s
 

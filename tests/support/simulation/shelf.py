@@ -95,7 +95,7 @@ def exchange_bundle(run: "Simulation", rng: random.Random) -> float:
     shelf, station = run.world.shelf, run.station
     if shelf.wrong:
         return -1.0
-    kind, how = rng.choice(("newer", "newer", *BROKEN)), rng.choice((*["reload"] * 4, "restart", "later"))
+    kind, how = rng.choice((*["newer"] * 4, *BROKEN)), rng.choice((*["reload"] * 4, "restart", "later"))
     part = PARTS.index(run.world.parts.wanted) if rng.random() < 0.7 else rng.randrange(2)
     shelf.put(part, kind)
     run.reach_here(f"a bundle was {kind}")
