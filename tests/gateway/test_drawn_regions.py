@@ -54,6 +54,10 @@ def unchanged(tmp_path_factory: pytest.TempPathFactory, bundle: Path) -> Iterato
 
 @pytest.fixture(autouse=True)
 def without_children(monkeypatch: pytest.MonkeyPatch) -> None:
+    start_no_children(monkeypatch)
+
+
+def start_no_children(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw in this process, and try no bundle: a child takes longer than all the rest of a test."""
     start = subprocess.run
 
@@ -103,6 +107,7 @@ def test_a_region_is_drawn_seen_and_removed(
     assert station.verdicts == ["fail", "pass"]
     assert station.results[-1].bundle_id == Bundle.load(path).digest
 
+    start_no_children(monkeypatch)
     assert draw(station, remove="logo")["said"] == "no region is drawn any more"
     station.play_presses(3)
     assert station.verdicts == ["fail", "pass", "fail"]

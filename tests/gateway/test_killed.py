@@ -51,50 +51,26 @@ class Kills:
             self.folders.append(folder)
 
 
-def live(config: Path, kills: Kills | None = None, part: str = "PZ0") -> None:
-    """Play the recording to its end, and publish. part: kills come from its first press on."""
+def live(config: Path, kills: Kills | None = None) -> None:
+    """Play the recording to its end, and publish. Kills come from the first press of the second place on."""
     with SteppedStation(config) as station:
         while not station.has_ended:
             station.play(1)
             if kills is not None and station.loop.is_pressed:
-                kills.is_armed |= station.parts.selection.part.part == part
+                kills.is_armed |= station.parts.selection.part.part == "PZ1"
             station.publish()
 
 
-def kill(configure: Callable[[Path], Path], folder: Path, part: str = "PZ0") -> list[Path]:
-    """Kill a station after each write that follows the first press of the part; the folders in which it was killed."""
+def kill(configure: Callable[[Path], Path], folder: Path) -> list[Path]:
+    """Kill a station after each write of its second press; the folders in which it was killed."""
     first = configure(folder / "station")
     kills = Kills(first.parent, folder / "killed")
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(sqlite3, "connect", kills.connect)
         patched.setattr(Path, "open", lambda path, *given, **options: kills.open(path, *given, **options))
-        live(first, kills, part)
+        live(first, kills)
     assert len(kills.folders) == KILLS
     return kills.folders
-
-
-def test_each_press_arrives_exactly_once_by_id_and_the_ledger_agrees(tmp_path: Path, bundle: Path) -> None:
-    """Killed before each of its commits in turn: no press is lost, doubled or counted twice."""
-    recording = press_recording(tmp_path / "presses", 1, motion=Motion(free=28, hold=8, idle=2))
-
-    def config(folder: Path) -> Path:
-        return station_config(folder, recording, bundle, sinks=f'{JSONL % (folder / "out")}\nname = "line"')
-
-    recorded = []
-    for folder in kill(config, tmp_path):
-        live(config(folder))
-        seen: dict[str, set[str]] = defaultdict(set)
-        for line in map(json.loads, (folder / "out/messages.jsonl").read_text().splitlines()):
-            if line["topic"] == "result":
-                content = line["payload"] | {"is_replayed": None}
-                seen[content["press_id"]].add(json.dumps(content))
-        with Store(folder / "gelgate.db") as store:
-            assert set(seen) == {press.press_id for press in read_history(store.path, HistoryQuery())}
-            assert sum(gel.presses for gel in store.gels()) == len(seen)
-        assert all(len(contents) == 1 for contents in seen.values())
-        recorded.append(len(seen))
-    assert recorded == sorted(recorded)
-    assert set(recorded) == {1, 2}, "killed before its row, and after"
 
 
 PLAN = """
@@ -104,9 +80,11 @@ places = [{ part = "PZ0", position = "pos1" }, { part = "PZ1", position = "pos1"
 """
 
 
-def test_a_piece_that_is_killed_at_its_last_press_ends_exactly_once(tmp_path: Path, bundle: Path) -> None:
-    """Killed before each commit of its second press: it is over before, or goes on where it was, and the next one is
-    another piece."""
+def test_each_press_and_each_piece_arrives_exactly_once_and_the_ledger_agrees(
+    tmp_path: Path, bundle: Path
+) -> None:
+    """Killed before each commit of the last press of a piece: no press is lost, doubled or counted twice, and the piece
+    is over before, or goes on where it was, and the next one is another piece."""
     recording = press_recording(tmp_path / "presses", 2, motion=Motion(free=28, hold=8))
     bundles = two_parts(tmp_path / "bundles", bundle)
 
@@ -114,22 +92,29 @@ def test_a_piece_that_is_killed_at_its_last_press_ends_exactly_once(tmp_path: Pa
         sinks = f'{JSONL % (folder / "out")}\nname = "line"'
         return station_config(folder, recording, bundles, sinks=sinks, tables=PLAN)
 
-    ended = []
-    for folder in kill(config, tmp_path, part="PZ1"):
+    recorded, ended = [], []
+    for folder in kill(config, tmp_path):
         live(config(folder))
-        said = map(json.loads, (folder / "out/messages.jsonl").read_text().splitlines())
-        results = {
-            line["payload"]["piece_id"]: line["payload"] for line in said if line["topic"] == "piece_result"
-        }
+        seen: dict[str, set[str]] = defaultdict(set)
+        results: dict[str, str] = {}
+        for line in map(json.loads, (folder / "out/messages.jsonl").read_text().splitlines()):
+            content = line.get("payload", {})
+            if line["topic"] == "result":
+                seen[content["press_id"]].add(json.dumps(content | {"is_replayed": None}))
+            elif line["topic"] == "piece_result":
+                results[content["piece_id"]] = content["verdict"]
         with Store(folder / "gelgate.db") as store:
-            rows = store.read(
-                "reading", lambda it: it.execute("SELECT piece_id, verdict FROM pieces").fetchall()
-            )
-        assert {piece_id: one["verdict"] for piece_id, one in results.items()} == {
-            piece_id: verdict for piece_id, verdict in rows if verdict is not None
-        }
+            assert set(seen) == {press.press_id for press in read_history(store.path, HistoryQuery())}
+            assert sum(gel.presses for gel in store.gels()) == len(seen)
+            query = "SELECT piece_id, verdict FROM pieces"
+            rows = store.read("reading", lambda it: it.execute(query).fetchall())  # noqa: B023
+        assert all(len(contents) == 1 for contents in seen.values())
+        assert results == {piece_id: verdict for piece_id, verdict in rows if verdict is not None}
         assert check_database(folder / "gelgate.db") == []
+        recorded.append(len(seen))
         ended.append([verdict for _, verdict in rows])
+    assert recorded == sorted(recorded)
+    assert set(recorded) == {3, 4}, "killed before its row, and after"
     assert ended[0] == ["pass", None], (
         "its second press was lost, and the first of the next life completed it"
     )

@@ -13,7 +13,7 @@ from unittest.mock import Mock
 import pytest
 from ports import free_port
 from sql import execute
-from station import MQTT, Configure, station_config, two_parts, variant
+from station import MQTT, Configure, mark_tried, station_config, two_parts, variant
 from stepped_station import SteppedStation
 
 from edge.acquisition import AcquisitionState
@@ -121,6 +121,7 @@ def test_each_bundle_of_a_station_has_its_finding(tmp_path: Path, recording: Pat
     variant(bundle, folder / "b", part="PZ1", revision=3)
     variant(bundle, folder / "c", part="PZ2")
     (folder / "c" / "head.onnx").write_bytes(b"cut")
+    mark_tried(tmp_path / "gelgate.db", folder / "a", folder / "b")
     with Store(tmp_path / "gelgate.db") as store:
         store.use_bundle(PartPosition("PZ1", "pos1"), 4, "digest", 0)
     found = find(station_config(tmp_path, recording, f'bundle_folder = "{folder}"'), "bundle")
@@ -147,6 +148,7 @@ def test_a_part_without_a_bundle_is_found_by_the_check(tmp_path: Path, recording
     """As at the start, where the part that was selected last comes first: then it is said and no fault."""
     lines = two_parts(tmp_path / "bundles", bundle) + '\npart = "PZ9"'
     config = station_config(tmp_path, recording, lines)
+    mark_tried(tmp_path / "gelgate.db", tmp_path / "bundles" / "a", tmp_path / "bundles" / "b")
     (finding,) = find(config, "part")
     assert isinstance(finding.error, ConfigError)
     assert "inspection.part: " in finding.text

@@ -50,14 +50,14 @@ def test_a_shadow_is_heard_and_decides_nothing(shadowed: Shadowed, tmp_path: Pat
     """One that passes everything: verdicts are as without it, and both are in the result, the row and the history."""
     lenient = variant(bundle, tmp_path / "lenient", threshold={"value": 1e6})
     with SteppedStation(shadowed(bundle, folder="alone")) as alone:
-        alone.play_presses(8)
+        alone.play_presses(3)
     with SteppedStation(shadowed(bundle, lenient, folder="both")) as station:
-        station.play_presses(8)
+        station.play_presses(3)
         database = station.parts.store.path
         ids = station.bundle_id, station.parts.selection.shadow.bundle.digest
 
     assert station.verdicts == alone.verdicts
-    assert station.verdicts.count("fail") == 2
+    assert station.verdicts == ["pass", "pass", "fail"]
     assert [one.score for one in station.results] == [one.score for one in alone.results]
     said = [one.shadow for one in station.results]
     assert {(one.bundle_id, one.beside, one.verdict, one.threshold) for one in said} == {
@@ -72,11 +72,11 @@ def test_a_shadow_is_heard_and_decides_nothing(shadowed: Shadowed, tmp_path: Pat
     assert [ShadowVerdict.decode(row.shadow).score for row in rows] == [one.score for one in said]
     printed = gelgate("history", "--database", database, "--by", "shadow").out.splitlines()
     assert printed[0] == (
-        f"shadow {ids[1][:12]} beside {ids[0][:12]}: 8 presses judged by both: 0 pass the bundle in use alone, 2 the "
+        f"shadow {ids[1][:12]} beside {ids[0][:12]}: 3 presses judged by both: 0 pass the bundle in use alone, 1 the "
         "shadow alone; of 0 that people call good 0 and 0 do not pass, of 0 that they call damaged 0 and 0 pass"
     )
-    assert printed[1:] == [f"  {station.results[number].press_id}  fail, shadow pass" for number in (2, 5)]
-    assert gelgate("history", "--database", database).out.count("  shadow pass") == 8
+    assert printed[1:] == [f"  {station.results[2].press_id}  fail, shadow pass"]
+    assert gelgate("history", "--database", database).out.count("  shadow pass") == 3
     assert [one.text for one in check_database(database) if one.is_fault] == []
 
 
@@ -94,11 +94,11 @@ def test_a_shadow_takes_one_head_more_and_no_trunk(shadowed: Shadowed, bundle: P
         for pipe in (scorers[0]._pipe, scorers[1]._pipe, scorers[1]._beside[1]):
             pipe._head = Mock(wraps=pipe._head)
             heads.append(pipe._head.run_with_iobinding)
-        station.play_presses(8)
+        station.play_presses(3)
 
     assert trunks[1].call_count == heads[1].call_count == 0
-    assert heads[2].call_count == 7
-    assert trunks[0].call_count >= 7
+    assert heads[2].call_count == 2
+    assert trunks[0].call_count >= 2
 
 
 def test_a_shadow_takes_over_stays_and_is_taken_back(

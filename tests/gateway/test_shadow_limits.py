@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("few")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Eight short presses, all sound."""
     folder = tmp_path_factory.mktemp("limits") / "presses"
-    return press_recording(folder, 8, motion=Motion(hold=8, idle=24), seed=5)
+    return press_recording(folder, 8, motion=Motion(hold=8, idle=12), seed=5)
 
 
 @pytest.fixture

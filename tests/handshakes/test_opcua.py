@@ -230,7 +230,7 @@ def test_one_request_reads_one_moment(served: Served, plc: OpcUaPlc) -> None:
     thread = threading.Thread(target=work)
     thread.start()
     try:
-        seen = [plc.read() for _ in range(200)]
+        seen = [plc.read() for _ in range(60)]
     finally:  # else it triggers in every test that follows
         stop.set()
         thread.join()
