@@ -19,9 +19,7 @@ from edge.core.imaging.sensor_check import colour_cells
 from edge.core.press import Again, Press
 from edge.core.verdict import Kind, Verdict
 from edge.features.deviations import Deviations
-from edge.gateway.pictures import Pictures
 from edge.heights.files import write_calibration
-from edge.messaging.result_payload import PressFiles
 from edge.model.bundle import Bundle
 from edge.pictures.image_file import texts
 from edge.store.history import HistoryQuery, read_history
@@ -53,7 +51,8 @@ def played(tmp_path: Path, recording: Path, bundle: Path) -> Iterator[SteppedSta
 
 
 def test_what_was_measured_follows_the_result(played: SteppedStation, tmp_path: Path) -> None:
-    """Before the pictures, in their texts, and in the history; a pass is not measured."""
+    """Before the pictures, in their texts, and in the history; a pass is not measured. From the archive it is measured
+    and drawn again as it was, which a start does after a stop."""
     topics = [result.deviations_topic for result in played.results]
     dented = played.results[1]
     name = f"deviations/{dented.press_id}"
@@ -69,6 +68,10 @@ def test_what_was_measured_follows_the_result(played: SteppedStation, tmp_path: 
     assert first["depth_u95_mm"] > 0
     shown = texts(messages[f"heatmap/{dented.press_id}"]).get("deviation", "")
     assert (first["depth_mm"] is not None) == shown.startswith("depth ")
+    again = played.parts.pictures._draw_again(dented.press_id)
+    assert again.deviations is not None
+    assert again.deviations.encode() == messages[name]
+    assert again.sheet == messages[f"heatmap/{dented.press_id}"]
     row = list(read_history(tmp_path / "gelgate.db", HistoryQuery()))[1]
     assert (row.depth_mm, row.depth_u95_mm, row.size_mm, row.size_u95_mm) == tuple(
         first[key] for key in ("depth_mm", "depth_u95_mm", "size_mm", "size_u95_mm")
@@ -92,26 +95,6 @@ def test_without_a_calibration_a_size_is_in_pixels(station: SteppedStation, tmp_
     assert dented.defects
     assert 1 < (dented.defects[0].size_px or 0) <= np.hypot(*dented.defects[0].box_px[2:])
     assert not any(topic.startswith("deviations/") for topic in sent(tmp_path))
-
-
-def test_it_is_measured_again_after_a_stop(
-    tmp_path: Path, recording: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """From the archive, the same values and the same picture."""
-    config, expected = configure(tmp_path, recording, bundle, of_gel(bundle)), dict[str, PressFiles]()
-    with monkeypatch.context() as killed:
-        killed.setattr(Pictures, "add", lambda self, one: expected.setdefault(one.press_id, one.draw()))
-        with SteppedStation(config) as station:
-            station.play()
-    with SteppedStation(config) as station:
-        station.parts.pictures.start()
-        station.parts.pictures.close()
-    waiting = sent(tmp_path)
-    measured = {press_id: files.deviations for press_id, files in expected.items() if files.deviations}
-    assert len(measured) == 1
-    for press_id, payload in measured.items():
-        assert waiting[f"deviations/{press_id}"] == payload.encode()
-        assert waiting[f"heatmap/{press_id}"] == expected[press_id].sheet
 
 
 def test_what_decided_two_presses_is_measured(bundle: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from station import FPS, HEADER, Configure, Motion, gel, jpeg, press_recording, station_config
+from station import FPS, HEADER, gel, jpeg, station_config
 from stepped_station import SteppedStation
 
 from edge.clock import SystemClock
@@ -105,34 +105,6 @@ def test_a_peak_is_not_late_because_the_lift_is_slow(tmp_path: Path, bundle: Pat
 
     assert [(result.verdict, result.reason) for result in station.results] == [("pass", None)]
     assert ages[0] < 0.3
-
-
-def test_a_sensor_pulled_out_during_a_press_is_reconnected_each_time(tmp_path: Path, bundle: Path) -> None:
-    """Two presses, each unplugged while held: no crash, two results, two counts, two reconnections."""
-    motion = Motion(idle=14, hold=40)
-    recording = press_recording(tmp_path / "presses", 2, motion=motion, seed=3)
-    length = motion.hold + motion.idle + 2
-    faults = [f"unplug@{motion.free + press * length + 20}:0.05" for press in range(2)]
-    config = station_config(tmp_path / "station", recording, bundle, faults=faults)
-    with SteppedStation(config) as station:
-        station.play()
-        assert station.parts.acquisition.status.reconnects == 2
-
-    assert len(station.reports) == count(config) == 2
-    assert set(station.verdicts) <= {"pass", "fail"}
-
-
-def test_broken_frames_are_counted_and_passed_over(configure: Configure) -> None:
-    """A truncated JPEG, a packet with an error and a stale frame are lost alone, and nothing else."""
-    faults = ["truncate@3", "error_bit@20", "stale@36", "drop@41", "lost_packet@50"]
-    config = configure(faults=faults)
-    with SteppedStation(config) as station:
-        station.play()
-        status = station.parts.acquisition.status
-
-    assert len(station.reports) == count(config) == 3
-    assert status.corrupt >= 3
-    assert status.stale == 1
 
 
 @pytest.mark.parametrize(("value", "presses"), [(255, 1), (0, 0)])

@@ -127,22 +127,6 @@ def test_the_part_is_looked_at_when_the_contact_begins(tmp_path: Path, recording
     assert station.results[0].part_codes == ["1"]
 
 
-def test_a_lost_overview_camera_refuses_only_where_it_must_see() -> None:
-    """With codes a press is refused with the camera's fault; without, results go on without a still."""
-    clock = ManualClock()
-    overview = overview_of(clock, [])
-    overview.camera.step()
-    overview.camera.step()
-    view = overview.look_at_part()
-
-    assert (view.jpeg, view.fault) == (None, "camera C1 was unplugged")
-    part = PartPosition("PZ0", "pos1")
-    assert overview.rules.refusal(view, part, lambda name: [part]) is None
-    refusal = OverviewRules(codes=("qr",)).refusal(view, part, lambda name: [part])
-    assert refusal is not None
-    assert "camera C1 was unplugged" in refusal.text
-
-
 def test_the_still_is_the_newest_of_the_moment_when_the_contact_began() -> None:
     """A camera gives more pictures than there are presses: those between are dropped. A picture that comes while the
     sensor covers the part changes nothing."""

@@ -56,14 +56,6 @@ def test_the_code_selects_the_bundle_of_this_press(tmp_path: Path, recording: Pa
     assert (acts[1].before, acts[1].after) == (PZ0._asdict(), PZ1._asdict())
 
 
-def test_a_part_selected_by_code_outlives_a_restart(tmp_path: Path, recording: Path, bundles: str) -> None:
-    """As one that a person selected."""
-    with station(tmp_path, recording, bundles, ["4711"], select=True) as playing:
-        play(playing, presses=1)
-    with SteppedStation(tmp_path / "station" / "gelgate.toml") as again:
-        assert again.parts.selection.part == PZ1
-
-
 def test_an_unknown_code_is_refused_and_selects_none(tmp_path: Path, recording: Path, bundles: str) -> None:
     """With what was read, and what is in use."""
     with station(tmp_path, recording, bundles, ["4711", "PZ9", "4711"], select=True) as playing:

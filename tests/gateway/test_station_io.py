@@ -181,14 +181,6 @@ def test_a_relay_says_when_the_part_may_be_lifted(tmp_path: Path, configure: Mak
     assert on(tmp_path) == {3}, "a station that has ended sees nothing"
 
 
-def test_no_part_is_lifted_whose_verdict_is_not_recorded(tmp_path: Path, configure: Make) -> None:
-    with IoStation(configure(LIFT_NOW)) as station, station.refusing("presses"):
-        station.play()
-        assert station.loop.session is not None
-        assert station.loop.session.unrecorded
-    assert (1, True) not in switched(tmp_path)
-
-
 def test_without_frames_nothing_is_said_of_the_contact(tmp_path: Path, configure: Make) -> None:
     """The sensor goes while a part is held whose verdict is recorded: `lift` does not stay."""
     with IoStation(configure(LIFT_NOW)) as station:
@@ -264,11 +256,14 @@ def test_no_pass_and_no_lift_come_of_a_turn_that_took_long(
 
 
 def test_a_pass_is_shown_only_when_it_is_recorded_and_a_fail_at_once(tmp_path: Path, configure: Make) -> None:
-    """While the database refuses, no press is published as a pass; the gate still rejects."""
-    config = configure(ANDON)
+    """While the database refuses, no press is published as a pass, and no part is lifted; the gate still rejects."""
+    config = configure(ANDON.replace('["stopped"], safe = true', '["lift"]'))
     with IoStation(config) as station, station.refusing("presses"):
         station.play()
 
+        assert station.loop.session is not None
+        assert station.loop.session.unrecorded
+        assert (4, True) not in switched(tmp_path)
         assert (1, True) not in switched(tmp_path)
         assert (2, True) in switched(tmp_path)
         assert (3, True) in switched(tmp_path)

@@ -52,18 +52,6 @@ class Bench:
             run(self.driver, self.clock, seconds / steps)
 
 
-def test_outputs_show_the_station() -> None:
-    """Every configured channel is safe before the loop has said anything; then only channels that change are
-    written."""
-    bench = Bench()
-    bench.driver.step()
-    assert bench.relay.state == {1: False, 2: False, 3: False, 4: False}
-    for view in (READY, StationView("ready", "pass"), StationView("ready", "fail")):
-        bench.run(1, view)
-
-    assert bench.switched()[4:] == [(4, True), (1, True), (1, False), (2, True)]
-
-
 def test_a_pulse_starts_in_time_and_has_its_length() -> None:
     """On at the next step, off 200 ms later."""
     bench = Bench()
