@@ -43,11 +43,24 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return press_recording(folder, 4, dented=[2], motion=Motion(hold=8, idle=28), seed=5)
 
 
-@pytest.fixture
-def played(tmp_path: Path, recording: Path, bundle: Path) -> Iterator[SteppedStation]:
-    """All four are recorded, and the station has asked."""
-    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+@pytest.fixture(scope="module")
+def recorded(
+    tmp_path_factory: pytest.TempPathFactory, recording: Path, bundle: Path
+) -> Iterator[SteppedStation]:
+    """A station that has ended; all four are recorded."""
+    with SteppedStation(station_config(tmp_path_factory.mktemp("recorded"), recording, bundle)) as station:
         station.play_presses(4)
+    yield station
+
+
+@pytest.fixture
+def played(tmp_path: Path, recorded: SteppedStation) -> Iterator[SteppedStation]:
+    """A copy of it that was started again: it has its gel, and has asked."""
+    shutil.copytree(recorded.parts.store.path.parent, tmp_path, dirs_exist_ok=True)
+    with SteppedStation(tmp_path / "gelgate.toml") as station:
+        station.clock.sleep(recorded.clock.monotonic_ns() / 1e9)
+        station.reports = recorded.reports
+        station.play(3)
         settle(station)
         yield station
 
