@@ -44,13 +44,11 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def recorded(
-    tmp_path_factory: pytest.TempPathFactory, recording: Path, bundle: Path
-) -> Iterator[SteppedStation]:
+def recorded(tmp_path_factory: pytest.TempPathFactory, recording: Path, bundle: Path) -> SteppedStation:
     """A station that has ended; all four are recorded."""
     with SteppedStation(station_config(tmp_path_factory.mktemp("recorded"), recording, bundle)) as station:
         station.play_presses(4)
-    yield station
+    return station
 
 
 @pytest.fixture

@@ -243,11 +243,11 @@ class Job:
         self.worker.ask(lambda: "done")
 
     def work(self) -> None:
-        for _ in range(TURNS + 1):
+        for _ in range(TURNS):
             self.worker.step()
 
     def take(self) -> None:
-        for _ in range(TURNS + 1):
+        for _ in range(TURNS):
             if (outcome := self.worker.take()) is not None:
                 self.outcomes.append(outcome)
 
