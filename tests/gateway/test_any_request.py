@@ -67,7 +67,7 @@ def draw(schema: dict[str, Any], known: dict[str, Any], ids: list[str], rng: ran
     return kinds[kind]() if kind in kinds and rng.random() < 0.9 else rng.choice(ODD)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_request_ends_a_station_or_loses_a_press(tmp_path: Path, bundle: Path, seed: int) -> None:
     """Requests of every verb between the frames, by each verb's schema and beside it."""
     rng, commands = random.Random(seed), [one for one in every_command() if one.verb not in LEFT_OUT]

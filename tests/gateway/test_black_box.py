@@ -371,18 +371,21 @@ def test_a_word_of_nothing_stops_no_press(configure: Configure) -> None:
     assert len(station.results) == 3
 
 
+def small_press(made: Played) -> tuple[ArchivedPress, dict[str, bytes]]:
+    """The first press, as if it named a short frame and machine alone; and these, by their digests."""
+    frame, machine = (hashlib.sha256(data).hexdigest() for data in (b"frame", b"machine"))
+    names = {"frame": frame, "machine": machine, "reference": None, "score_map": None, "masked": None}
+    return made.record(0).model_copy(update=names), {frame: b"frame", machine: b"machine"}
+
+
 @pytest.mark.parametrize("removed", ["objects/*", "presses", ""])
 def test_what_was_removed_from_a_running_archive_is_written_again(
     tmp_path: Path, made: Played, removed: str
 ) -> None:
     """Files or folders, such as to free a disk: what later presses share with earlier ones is there again."""
-    press, archive = made.record(0), PressArchive(tmp_path / "archive", 10, 1 << 20)
-    frame, machine = (hashlib.sha256(data).hexdigest() for data in (b"frame", b"machine"))
-    one = press.model_copy(
-        update={"frame": frame, "machine": machine, "reference": None, "score_map": None, "masked": None}
-    )
-    objects = {frame: b"frame", machine: b"machine"}
-    archive.keep(one.model_copy(update={"press_id": made.ids[0]}), objects)
+    archive = PressArchive(tmp_path / "archive", 10, 1 << 20)
+    one, objects = small_press(made)
+    archive.keep(one, objects)
     for path in (tmp_path / "archive").glob(removed) if removed else [tmp_path / "archive"]:
         shutil.rmtree(path) if path.is_dir() else path.unlink()
     later = one.model_copy(update={"press_id": made.ids[1]})
@@ -397,14 +400,9 @@ def test_what_was_removed_from_a_running_archive_is_written_again(
 @pytest.mark.parametrize("left", [b"", b"mach\0\0\0", b"machine\0", None])
 def test_what_a_power_cut_damaged_is_written_again(tmp_path: Path, made: Played, left: bytes | None) -> None:
     """A start finds what presses share short, torn or gone; the next press has it whole, and its size is right."""
-    press, folder = made.record(0), tmp_path / "archive"
-    frame, machine = (hashlib.sha256(data).hexdigest() for data in (b"frame", b"machine"))
-    one = press.model_copy(
-        update={"frame": frame, "machine": machine, "reference": None, "score_map": None, "masked": None}
-    )
-    objects = {frame: b"frame", machine: b"machine"}
-    PressArchive(folder, 10, 1 << 20).keep(one.model_copy(update={"press_id": made.ids[0]}), objects)
-    damaged = folder / "objects" / machine
+    folder, (one, objects) = tmp_path / "archive", small_press(made)
+    PressArchive(folder, 10, 1 << 20).keep(one, objects)
+    damaged = folder / "objects" / one.machine
     damaged.unlink() if left is None else damaged.write_bytes(left)
     archive = PressArchive(folder, 10, len(b"framemachine"))
     archive.open()

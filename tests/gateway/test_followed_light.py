@@ -56,11 +56,11 @@ def test_without_it_sound_presses_fail(
 def test_light_that_falls_between_presses_is_followed_without_a_pause(
     tmp_path: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From all of the light to 80 % of it over 14 presses, the gel free for 0.5 s between two: what was learnt of the
+    """From all of the light to 80 % of it over 10 presses, the gel free for 0.5 s between two: what was learnt of the
     free gel at the start is never renewed. Every sound press passes, and the chart of the light sees it; without the
     view before each press the last ones fail."""
     film = press_recording(
-        tmp_path / "film", 14, dented=[10], motion=Motion(hold=7, idle=9), light=1.0, light_at_end=0.8
+        tmp_path / "film", 10, dented=[7], motion=Motion(hold=7, idle=9), light=1.0, light_at_end=0.8
     )
     with SteppedStation(station_config(tmp_path / "a", film, bundle)) as station:
         station.play()
@@ -69,7 +69,7 @@ def test_light_that_falls_between_presses_is_followed_without_a_pause(
     monkeypatch.setattr(ContactTracker, "newest_free", None)
     without = [verdict for verdict, _, _ in scores(station_config(tmp_path / "b", film, bundle))]
 
-    assert verdicts == ["fail" if number == 10 else "pass" for number in range(14)]
+    assert verdicts == ["fail" if number == 7 else "pass" for number in range(10)]
     assert light["newest"] < 0.97 * 118
     assert without[-3:] == ["fail"] * 3
 

@@ -142,26 +142,36 @@ def test_a_sensor_of_another_mode_is_refused(tmp_path: Path, bundle: Path) -> No
         station.play()
 
 
-def test_a_station_loads_what_it_uses(config: Path) -> None:
+def test_a_station_loads_what_it_uses_and_a_press_imports_nothing(config: Path, tmp_path: Path) -> None:
     """A sensor, a bundle with its trunk, without tiles and registration, and no second presses: none of the code for
-    the others is loaded."""
+    the others is loaded. What the first press needs is there when the free gel is learnt, with its pictures. In a
+    process of its own."""
     lines = config.read_text().splitlines()
     lines[lines.index('plugin = "usb_mock"') : lines.index("[inspection]")] = ['plugin = "gelsight_mini"']
-    config.write_text("\n".join(lines))
+    (real := tmp_path / "real.toml").write_text("\n".join(lines))
     program = f"""
 import json, sys
 from pathlib import Path
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.gateway.build import open_station
-with open_station(load_config(Path({str(config)!r})), SystemClock()):
-    print(json.dumps(sorted(sys.modules)))
+with open_station(load_config(Path({str(real)!r})), SystemClock()):
+    loaded = sorted(sys.modules)
+sys.path.insert(0, {str(Path(__file__).parents[1] / "support")!r})
+from stepped_station import SteppedStation
+with SteppedStation(Path({str(config)!r})) as station:
+    station.play_until(lambda: station.said("state")["state"] == "ready")
+    before = set(sys.modules)
+    station.play()
+    station.parts.pictures.step()
+    print(json.dumps([loaded, len(station.reports), sorted(set(sys.modules) - before)]))
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    loaded = set(json.loads(done.stdout))
+    loaded, presses, imported = json.loads(done.stdout)
 
-    assert {"edge.model.scorer", "plugins.devices.gelsight_mini"} <= loaded
-    assert not loaded & {
+    assert (presses, imported) == (3, [])
+    assert {"edge.model.scorer", "plugins.devices.gelsight_mini"} <= set(loaded)
+    assert not set(loaded) & {
         "edge.core.handshake",
         "edge.core.overview.rules",
         "edge.core.press_again",
@@ -172,21 +182,3 @@ with open_station(load_config(Path({str(config)!r})), SystemClock()):
         "edge.model.tile_runner",
         "edge.recording.format",
     }
-
-
-def test_a_press_imports_nothing(config: Path) -> None:
-    """What the first press needs is there when the free gel is learnt: in a process of its own, with its pictures."""
-    program = f"""
-import sys
-from pathlib import Path
-sys.path.insert(0, {str(Path(__file__).parents[1] / "support")!r})
-from stepped_station import SteppedStation
-with SteppedStation(Path({str(config)!r})) as station:
-    station.play_until(lambda: station.said("state")["state"] == "ready")
-    before = set(sys.modules)
-    station.play()
-    station.parts.pictures.step()
-    print(len(station.reports), *sorted(set(sys.modules) - before))
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["3"]

@@ -69,8 +69,7 @@ def test_a_new_scar_is_known_where_the_gel_is_free_for_three_tenths_of_a_second(
     assert station.results[4].cause is not Cause.GEL
 
 
-@pytest.mark.parametrize("fps", BRIEF)
-@pytest.mark.parametrize("rest", [0.12, 0.25])
+@pytest.mark.parametrize(("fps", "rest"), [(18.75, 0.25), (10.0, 0.12)])
 def test_what_damaged_parts_leave_on_the_gel_in_such_a_lift_is_no_mark(
     tmp_path: Path, bundle: Path, fps: float, rest: float
 ) -> None:

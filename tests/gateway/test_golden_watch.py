@@ -54,15 +54,3 @@ def test_golden_frames_are_scored_after_every_change_and_every_hour(tmp_path: Pa
         assert "golden frame 0" in str(station.alarm("golden"))
         station.ask("select_part", part="PZ0")
         assert station.alarm("golden") is None
-
-
-def test_no_press_is_judged_while_golden_frames_fail(tmp_path: Path, recording: Path, bundles: str) -> None:
-    """Each is an error with the reason, and is counted."""
-    config = station_config(tmp_path / "station", recording, bundles)
-    with SteppedStation(config) as station:
-        station.play_until(lambda: station.loop.session is not None)
-        station.parts.selection.inspector.fault = "golden frame 0 scores 9"
-        station.play()
-
-        assert [result.error for result in station.results] == ["golden frame 0 scores 9"] * 3
-        assert station.verdicts == [None] * 3
