@@ -40,6 +40,14 @@ class Played:
     def row(self, query: str, *values: object) -> tuple[bytes, ...]:
         return next(iter(execute(self.database, query, given=values)), ())
 
+    def speak(self, press_id: str) -> None:
+        """Let a person at a pedal call the press good."""
+        self.row(
+            "INSERT INTO acts (time_ns, running_ns, who, verb, arguments, outcome) "
+            "VALUES (1, 1, 'pedal', 'confirm_press', ?, 'done')",
+            json.dumps({"press_id": press_id, "verdict": "good"}),
+        )
+
     @property
     def pictures(self) -> dict[str, bytes]:
         """The pictures that wait to be published, by press id."""
@@ -162,12 +170,7 @@ def test_what_is_not_as_kept_is_named(
 
 def test_a_press_that_is_kept_no_longer_is_no_fault_and_a_gap_is(copy: Played, tmp_path: Path) -> None:
     """A station that runs for a day keeps its newest presses; that of before may be kept since a person spoke of it."""
-    execute(
-        copy.database,
-        "INSERT INTO acts (time_ns, running_ns, who, verb, arguments, outcome) "
-        "VALUES (1, 1, 'kim', 'confirm_press', ?, 'done')",
-        given=(json.dumps({"press_id": copy.ids[0], "verdict": "good"}),),
-    )
+    copy.speak(copy.ids[0])
     records = [copy.archive / f"presses/{press_id}.json" for press_id in copy.ids]
     records[1].unlink()
     aged = copy.replay("--all")
@@ -185,12 +188,7 @@ def test_a_press_that_is_kept_no_longer_is_no_fault_and_a_gap_is(copy: Played, t
 def test_where_people_spoke_of_every_press_the_oldest_is_kept_no_longer(copy: Played) -> None:
     """As where a pedal says so of each: what is older than all that is kept is gone for its age."""
     for press_id in copy.ids:
-        execute(
-            copy.database,
-            "INSERT INTO acts (time_ns, running_ns, who, verb, arguments, outcome) "
-            "VALUES (1, 1, 'pedal', 'confirm_press', ?, 'done')",
-            given=(json.dumps({"press_id": press_id, "verdict": "good"}),),
-        )
+        copy.speak(press_id)
     (copy.archive / f"presses/{copy.ids[0]}.json").unlink()
     done = copy.replay("--all")
 

@@ -347,18 +347,31 @@ def test_the_check_before_the_start_takes_the_port(configure: Make, monkeypatch:
 
 PIECE = """
 [piece]
-order = "fixed"
+order = "%s"
 places = [{ part = "PZ0", position = "pos1" }, { part = "PZ1", position = "pos1" }]
 """
 
 
-@pytest.mark.parametrize("trigger", ["automatic", "command"])
-def test_a_trigger_begins_its_piece(tmp_path: Path, configure: Make, bundle: Path, trigger: str) -> None:
-    """The next trigger with its id is for its next place; one with the id of a piece that is over is an error."""
-    bundles = two_parts(tmp_path / "bundles", bundle)
-    config = configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"', trigger=trigger)
-    with PlcStation(config) as station:
+Planned = Callable[..., PlcStation]
+
+
+@pytest.fixture
+def planned(tmp_path: Path, configure: Make, bundle: Path) -> Planned:
+    """Open a station that inspects pieces of two places, and play it until it is ready."""
+
+    def make(order: str = "fixed", **given: Any) -> PlcStation:
+        bundles = two_parts(tmp_path / "bundles", bundle) + '\npart = "PZ0"'
+        station = PlcStation(configure(tables=PIECE % order, inspection=bundles, **given))
         station.play_until_ready()
+        return station
+
+    return make
+
+
+@pytest.mark.parametrize("trigger", ["automatic", "command"])
+def test_a_trigger_begins_its_piece(planned: Planned, trigger: str) -> None:
+    """The next trigger with its id is for its next place; one with the id of a piece that is over is an error."""
+    with planned(trigger=trigger) as station:
         for trigger_id in (1, 2):
             if trigger == "command":
                 station.play_until_pressed()
@@ -384,14 +397,10 @@ def test_a_trigger_begins_its_piece(tmp_path: Path, configure: Make, bundle: Pat
 
 
 @pytest.mark.parametrize("when", ["as it touches", "while it is pressed", "when `free` is said"])
-def test_a_piece_begins_when_the_part_before_is_lifted(
-    tmp_path: Path, configure: Make, bundle: Path, when: str
-) -> None:
+def test_a_piece_begins_when_the_part_before_is_lifted(planned: Planned, when: str) -> None:
     """A trigger that comes earlier, also one that a PLC gives as soon as it reads that nothing touches the gel, waits
     for that. The press that is held then is of the piece before."""
-    bundles = two_parts(tmp_path / "bundles", bundle)
-    with PlcStation(configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"')) as station:
-        station.play_until_ready()
+    with planned() as station:
         station.play_until(lambda: station.seen.station.contact == "touching")
         if when != "as it touches":
             station.play_until_pressed()
@@ -406,15 +415,10 @@ def test_a_piece_begins_when_the_part_before_is_lifted(
     assert first.piece_id == "P1"
 
 
-def test_after_an_interruption_the_next_press_is_of_the_piece_that_is_asked_for(
-    tmp_path: Path, configure: Make, bundle: Path
-) -> None:
+def test_after_an_interruption_the_next_press_is_of_the_piece_that_is_asked_for(planned: Planned) -> None:
     """The gel was free, and for a moment nothing can be trusted: a trigger of then that waited for the free gel would
     leave its press to the part that was selected before."""
-    bundles = two_parts(tmp_path / "bundles", bundle)
-    tables = PIECE.replace("fixed", "free")
-    with PlcStation(configure(tables=tables, inspection=f'{bundles}\npart = "PZ0"')) as station:
-        station.play_until_ready()
+    with planned("free") as station:
         station.play(1)
         station.read(8)
         while station.parts.acquisition.next(0) is not None:
@@ -427,13 +431,9 @@ def test_after_an_interruption_the_next_press_is_of_the_piece_that_is_asked_for(
 
 
 @pytest.mark.parametrize("is_pressed", [False, True], ids=["at once", "while it waits for the free gel"])
-def test_a_trigger_that_is_taken_back_begins_no_piece(
-    tmp_path: Path, configure: Make, bundle: Path, is_pressed: bool
-) -> None:
+def test_a_trigger_that_is_taken_back_begins_no_piece(planned: Planned, is_pressed: bool) -> None:
     """It would end the one in progress."""
-    bundles = two_parts(tmp_path / "bundles", bundle)
-    with PlcStation(configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"')) as station:
-        station.play_until_ready()
+    with planned() as station:
         if is_pressed:
             station.play_until_pressed()
         assert station.trigger(1, piece="P1") is Code.NONE
@@ -444,12 +444,9 @@ def test_a_trigger_that_is_taken_back_begins_no_piece(
     assert "P1" not in [result.piece_id for result in station.results]
 
 
-def test_the_next_piece_answers_no_trigger_of_before(tmp_path: Path, configure: Make, bundle: Path) -> None:
+def test_the_next_piece_answers_no_trigger_of_before(planned: Planned) -> None:
     """The piece was in progress when its trigger came, and the press that was held then ended it."""
-    bundles = two_parts(tmp_path / "bundles", bundle)
-    config = configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"')
-    with PlcStation(config) as station:
-        station.play_until_ready()
+    with planned() as station:
         assert station.trigger(1, piece="P1") is Code.NONE
         station.play_until(lambda: station.seen.step == "done")
         station.acknowledge()
@@ -465,13 +462,9 @@ def test_the_next_piece_answers_no_trigger_of_before(tmp_path: Path, configure: 
 
 
 @pytest.mark.parametrize("is_pressed", [False, True], ids=["free", "while a part presses"])
-def test_a_press_of_a_place_that_comes_later_fills_no_other_place(
-    tmp_path: Path, configure: Make, bundle: Path, is_pressed: bool
-) -> None:
+def test_a_press_of_a_place_that_comes_later_fills_no_other_place(planned: Planned, is_pressed: bool) -> None:
     """The plan selects its first place as the piece begins, and the PLC says that the part lies at the second."""
-    bundles = two_parts(tmp_path / "bundles", bundle)
-    with PlcStation(configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"')) as station:
-        station.play_until_ready()
+    with planned() as station:
         if is_pressed:
             station.play_until_pressed()
         assert station.trigger(1, piece="P1", part="PZ1") is Code.NONE
@@ -482,12 +475,10 @@ def test_a_press_of_a_place_that_comes_later_fills_no_other_place(
     assert "PZ1/pos1 comes later; select and press PZ0/pos1" in str(answer.reason)
 
 
-def test_a_press_of_another_bundle_fills_no_place(tmp_path: Path, configure: Make, bundle: Path) -> None:
+def test_a_press_of_another_bundle_fills_no_place(planned: Planned) -> None:
     """The press that was held when the trigger came was recorded after it, and then the plan has selected its next
     place."""
-    bundles = two_parts(tmp_path / "bundles", bundle)
-    with PlcStation(configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"')) as station:
-        station.play_until_ready()
+    with planned() as station:
         assert station.trigger(1, piece="P1") is Code.NONE
         station.play_until_pressed()
         station.acknowledge()
