@@ -92,6 +92,7 @@ def test_a_piece_fails_where_both_presses_lie_above(tmp_path: Path, asking: Make
     assert station.verdicts == ["unsure", "fail", "pass"]
     decided = station.results[1].press_again
     assert decided is not None
+    assert decided.first_score == station.results[0].score != station.results[1].score
     assert str(decided.reason).startswith("decided by the lower score of two presses")
     assert again.code == 0, again.out
     assert again.out.count("equal, bit for bit") == 3
@@ -249,19 +250,3 @@ def test_a_press_that_waits_is_dropped_with_a_change(
         station.play_until(lambda: len(station.reports) == 1)
         change(station)
         assert f"is not waited for any more: {why}" in str(station.alarm("press_again"))
-
-
-def test_a_second_press_with_the_higher_score_is_decided_by_the_first(again_bundle: Path) -> None:
-    """Both lie above, so the piece fails, with the score of its second press."""
-    bundle = Bundle.load(again_bundle)
-    costs = Costs(missed=1, false_alarm=1000, press=1, defect_rate=0.01)
-    again, inspector = PressAgain(costs, 30.0, ManualClock(), Mock()), SimpleNamespace(bundle=bundle)
-    again.use(inspector)  # type: ignore[arg-type]
-    first, second = (
-        again.judge(Press(bundle.manifest.decide(score)), None, inspector)  # type: ignore[arg-type]
-        for score in (0.2, 0.3)
-    )
-
-    assert (first.word, second.word) == ("unsure", "fail")
-    assert second.verdict is not None
-    assert (second.verdict.score, second.again and second.again.first_score) == (0.3, 0.2)
