@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 from command_line import gelgate
-from tradeoff_rows import row
+from tradeoff_rows import row, rows_of_a_run
 
 from calibration.experiments.tradeoff.bench_command import read_medians
-from calibration.experiments.tradeoff.figure import say_cost, svg
+from calibration.experiments.tradeoff.figure import figure, say_cost, svg
 from calibration.experiments.tradeoff.front import read_rows, write_rows
 from calibration.experiments.tradeoff.plan import Run, TradeoffArguments
 from edge.core.errors import ConfigError
@@ -154,7 +154,11 @@ def test_the_readme_shows_the_front_of_its_rows() -> None:
     assert picture.read_bytes() == svg(rows, medians)
 
 
-def svg_text(rows: list[dict[str, Any]]) -> str:
-    from calibration.experiments.tradeoff.figure import figure
+def test_a_point_without_accuracy_is_left_out_of_the_picture() -> None:
+    rows = rows_of_a_run()
+    marks = [len(axes.collections) for axes in figure(rows).axes]
+    assert [len(axes.collections) for axes in figure([*rows, row("none.t", None)]).axes] == marks
 
+
+def svg_text(rows: list[dict[str, Any]]) -> str:
     return " ".join(text.get_text() for text in figure(rows).texts)
