@@ -19,18 +19,18 @@ from edge.core.errors import BundleError, ConfigError
 from edge.model.bundle_writer import write_bundle
 
 
-@pytest.fixture
-def bundle(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     _, files = tiny.tiny_files(tiny.tiny_bank())
-    return write_bundle(tmp_path / "bolt", files)
+    return write_bundle(tmp_path_factory.mktemp("bundle") / "bolt", files)
 
 
 @cache
-def installed() -> str:
-    """The bill of what is installed, without a bundle, with a fixed time."""
+def installed(*bundles: Path) -> str:
+    """The bill of what is installed, and of bundles, with a fixed time."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SOURCE_DATE_EPOCH", "1000000000")
-        return bill_of_materials([])
+        return bill_of_materials(bundles)
 
 
 def components(bill: str) -> dict[str, dict[str, Any]]:
@@ -89,7 +89,7 @@ def test_what_needs_what_is_said_of_installed_packages() -> None:
 def test_a_bundle_and_its_trunk_are_there_by_their_hashes(bundle: Path) -> None:
     """The manifest has the hashes of all other files."""
     manifest = (bundle / "manifest.json").read_bytes()
-    found = components(bill_of_materials([bundle]))
+    found = components(installed(bundle))
 
     assert found["bolt/crest"]["hashes"][0]["content"] == hashlib.sha256(manifest).hexdigest()
     trunk = hashlib.sha256((bundle / "trunk.onnx").read_bytes()).hexdigest()
@@ -99,7 +99,7 @@ def test_a_bundle_and_its_trunk_are_there_by_their_hashes(bundle: Path) -> None:
 def test_the_number_follows_from_what_is_listed(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """So two bills with one number list the same; with one time they are equal."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1000000000")
-    without, again, with_bundle = installed(), bill_of_materials([]), bill_of_materials([bundle])
+    without, again, with_bundle = installed(), bill_of_materials([]), installed(bundle)
 
     assert without == again
     assert json.loads(without)["metadata"]["timestamp"] == "2001-09-09T01:46:40Z"

@@ -211,7 +211,9 @@ def test_lines_that_cannot_be_printed_do_not_end_the_inspection(pressed: Path, o
     assert [path.name for path in made if path.is_file() and path.stat().st_mode & 0o007] == []
 
 
-@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize(
+    "closed", [*(pytest.param(one, marks=pytest.mark.lab) for one in (">&-", "2>&-")), "<&- >&- 2>&-"]
+)
 def test_closed_streams_do_not_end_the_inspection(pressed: Path, closed: str) -> None:
     """As a program starts it that closes them, and not to /dev/null."""
     command = ["sh", "-c", f'exec "$0" "$@" {closed}', GELGATE, "run", "--config", pressed]

@@ -35,7 +35,9 @@ def broker(request: pytest.FixtureRequest) -> Iterator[LocalBroker]:
         yield running
 
 
-each_broker = pytest.mark.parametrize("broker", ["mosquitto", "amqtt"], indirect=True)
+each_broker = pytest.mark.parametrize(
+    "broker", ["mosquitto", pytest.param("amqtt", marks=pytest.mark.lab)], indirect=True
+)
 
 
 def speaks(broker: LocalBroker, client_id: str) -> Broker:

@@ -17,7 +17,7 @@ from edge.messaging.mqtt_connection import Connection
 from edge.messaging.status_payloads import availability_message
 from plugins.sinks.mqtt import MqttSink
 
-from .conftest import PATIENCE_S, ROOT, Listen, Listener, SinkTo
+from .conftest import PATIENCE_S, ROOT, Listen, Listener, SinkTo, seldom_amqtt
 
 STATION = Station(
     ROOT,
@@ -59,6 +59,7 @@ def lose_the_second_connection(broker: LocalBroker, sink: MqttSink) -> None:
     assert sink.step() is None
 
 
+@seldom_amqtt
 def test_a_station_that_disappears_is_offline(
     any_broker: tuple[LocalBroker, str], sink_to: SinkTo, listen: Listen
 ) -> None:

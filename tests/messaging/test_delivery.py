@@ -19,7 +19,7 @@ from edge.messaging.status_payloads import StatePayload
 from edge.store.outbox import Outbox
 from edge.store.press_store import Store
 
-from .conftest import ROOT, Listen, Listener, SinkTo
+from .conftest import ROOT, Listen, Listener, SinkTo, seldom_amqtt
 
 
 def record_press(store: Store, n: int) -> str:
@@ -29,6 +29,7 @@ def record_press(store: Store, n: int) -> str:
     return press.press_id
 
 
+@seldom_amqtt
 def test_a_broker_killed_in_the_middle_and_restarted_loses_nothing(
     any_broker: tuple[LocalBroker, str], tmp_path: Path, sink_to: SinkTo, listen: Listen
 ) -> None:
