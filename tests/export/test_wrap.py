@@ -55,12 +55,6 @@ def test_it_is_scored_and_checked_like_any_other(batch: str) -> None:
     assert scorer.score(np.full((32, 32, 3), 7, np.uint8)).anomaly_score == 7
 
 
-def test_a_threshold_that_is_none_is_refused() -> None:
-    """No score compares with it."""
-    with pytest.raises(FitError, match="a threshold is a finite number, found nan"):
-        dataclasses.replace(CONFIG, threshold=float("nan"))
-
-
 def test_a_graph_that_breaks_the_contract_is_a_sentence() -> None:
     """Another input name, found before any press is scored."""
     model = onnx.load_from_string(graph())

@@ -100,7 +100,7 @@ def test_a_choice_writes_its_bundle_with_both_cards(finished: Path, dataset: Pat
         (("--within", "fast"), "--within fast is not understood"),
         (("--under", "8"), "--under 8 is not understood"),
         (("--bundle", "b"), "--bundle needs a point"),
-        (("--point", "padim.none"), "no operating point is named 'padim.none'"),
+        (("--point", "padin.tactile_resnet18.lr.5"), "mean 'padim.tactile_resnet18.lr.5'?"),
         (("--method", "padin"), "no detector is named 'padin'"),
         (("--part", "PZ8"), "no nominal press of PZ8/*"),
     ],
