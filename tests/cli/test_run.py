@@ -144,14 +144,12 @@ def pressed(pressing: Path, tmp_path: Path) -> Path:
     return station_config(tmp_path, pressing / "presses", pressing / "bundle")
 
 
-@pytest.mark.parametrize("unread", ["stdout", "stderr"])
-def test_lines_that_nobody_reads_do_not_hold_up_the_inspection(pressed: Path, unread: str) -> None:
-    """As with a pager that waits, or a journal that hangs: the pipe is full. The reader is told once it reads again."""
+def test_lines_that_nobody_reads_do_not_hold_up_the_inspection(pressed: Path) -> None:
+    """As with a pager that waits, and a journal that hangs: both streams go into a full pipe."""
     reading, writing = os.pipe()
     os.write(writing, bytes(fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)))
     command = [GELGATE, "run", "--verbose", "--config", pressed]
-    streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, unread: writing}
-    with subprocess.Popen(command, **streams, cwd=pressed.parent) as running:
+    with subprocess.Popen(command, stdout=writing, stderr=writing, cwd=pressed.parent) as running:
         os.close(writing)
         try:
             code = running.wait(120)

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import pytest
 from chromium import open_tab, wait_until
 from page_messages import PICTURE, T0_NS, drift, gel, info, press, state, stats
 
@@ -21,13 +20,18 @@ ALL_SEEN = """(() => { const alarms = document.getElementById('alarms');
 TEXT = "the disk of /var/lib/gelgate has 212 MB free, expected at least 500 MB; make room"
 
 
-@pytest.mark.parametrize(
-    "size",
-    [(390, 844), (1024, 768), (1280, 800), (1440, 900), (1920, 1080)],
-    ids=["phone", "tablet", "desk", "large desk", "television"],
-)
-def test_press_and_heatmap_need_no_scrolling(browser: Any, sink: PageSink, size: tuple[int, int]) -> None:
-    """Also below three alarms and above a long reason; nothing is wider than the window."""
+SIZES = {
+    "phone": (390, 844),
+    "tablet": (1024, 768),
+    "desk": (1280, 800),
+    "large desk": (1440, 900),
+    "television": (1920, 1080),
+}
+
+
+def test_press_and_heatmap_need_no_scrolling(browser: Any, sink: PageSink) -> None:
+    """Also below three alarms and above a long reason; nothing is wider than the window. Only the styles
+    know its size, so one page is made larger."""
     alarms = [
         AlarmPayload(time_ns=T0_NS, alarm=name, text=f"{name}: {TEXT}").message()
         for name in ("gel", "outbox_full", "disk")
@@ -45,19 +49,20 @@ def test_press_and_heatmap_need_no_scrolling(browser: Any, sink: PageSink, size:
         *failed,
     ):
         sink.send(message)
-    tab = open_tab(browser, sink.port, viewport={"width": size[0], "height": size[1]})
+    tab = open_tab(browser, sink.port, viewport={"width": 390, "height": 844})
     tab.wait_for_selector("#charts li.shifted")
     wait_until(tab, "document.getElementById('picture').complete")
 
-    assert tab.evaluate(WHOLE), tab.evaluate(
-        "JSON.stringify(document.getElementById('picture').getBoundingClientRect())"
-    )
-    assert tab.evaluate("document.scrollingElement.scrollWidth <= innerWidth")
-    assert tab.locator("#presses a").bounding_box()["height"] >= 44, "a finger does not hit it"
-    if size[0] >= 1440:
-        tab.select_option("#language", "de")
-        tab.wait_for_selector("html[lang=de]")
-        assert tab.evaluate(ALL_SEEN)
+    for name, (width, height) in SIZES.items():
+        tab.set_viewport_size({"width": width, "height": height})
+        assert tab.evaluate(WHOLE), name
+        assert tab.evaluate("document.scrollingElement.scrollWidth <= innerWidth"), name
+        assert tab.locator("#presses a").bounding_box()["height"] >= 44, "a finger does not hit it"
+        if width >= 1440:
+            tab.select_option("#language", "de")
+            tab.wait_for_selector("html[lang=de]")
+            assert tab.evaluate(ALL_SEEN), name
+            tab.select_option("#language", "en")
     tab.close()
 
 
