@@ -240,22 +240,3 @@ def test_two_gateways_on_one_sensor(bench: Bench) -> None:
     assert ended.code == 4
     assert "in use by process" in ended.sentence()
     assert "stop it, or choose another sensor" in ended.sentence()
-
-
-def test_two_gateways_on_one_database(bench: Bench) -> None:
-    """The second one is refused: both would publish the same rows."""
-    import random
-
-    from edge.clock import SystemClock
-    from edge.messaging.publisher import Publisher
-    from edge.messaging.sink_worker import RetainedState
-
-    publisher = Publisher(bench.folder / "gelgate.db", {}, RetainedState(), SystemClock(), random.Random(0))
-    try:
-        ended = gelgate("run", "--config", bench.config())
-    finally:
-        publisher.stop()
-
-    assert ended.code == 1
-    assert "another gelgate process publishes from database" in ended.sentence()
-    assert "end it, or name another database" in ended.sentence()

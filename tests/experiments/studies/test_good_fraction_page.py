@@ -36,5 +36,3 @@ def test_a_report_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
 
     with pytest.raises(ConfigError, match="file cannot be a folder: File exists; choose another place"):
         write_report(tmp_path, tmp_path / "file")
-    with pytest.raises(ConfigError, match="there are no rows"):
-        write_report(tmp_path / "nowhere", tmp_path)

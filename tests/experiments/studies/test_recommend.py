@@ -137,8 +137,6 @@ def test_two_rows_with_the_same_result_are_one() -> None:
 def test_what_is_no_rows_or_no_need_is_refused(tmp_path: Path) -> None:
     """One sentence, with the nearest known name."""
     assert "there are no rows at" in gelgate("lab", "recommend", tmp_path).sentence()
-    (tmp_path / "rows.jsonl").write_text('{"format": 1, "key": "padim.lr.5"}\n')
-    assert "has rows that are of no study" in gelgate("lab", "recommend", tmp_path).sentence()
     assert (
         "did you mean 'few-presses'?"
         in gelgate("lab", "recommend", tmp_path, "--need", "few-pressse").sentence()
