@@ -19,6 +19,14 @@ class FixedBackoff(Backoff):
         return 1.0
 
 
+class Changes(list[str | None]):
+    """The changes of a fault that is said with each turn, as a station's alarms compare."""
+
+    def say(self, fault: str | None) -> None:
+        if fault != [None, *self][-1]:
+            self.append(fault)
+
+
 class FakeRelay:
     """plugged_in: with the cable pulled, writing fails. silent: gone, and nothing fails. write_s: how long it takes.
     called: at each writing."""

@@ -5,7 +5,6 @@ a sign of life from the loop the outputs go to those of the state `halted`.
 """
 
 import logging
-import random
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -17,7 +16,7 @@ from edge.core.digital_io import Actuator, OutputRule, StationView
 from edge.core.errors import DeviceError
 from edge.core.ports import Clock
 from edge.core.sentence import Sentence, join_sentences
-from edge.features.outputs.connection import FIRST_PAUSE_S, LONGEST_PAUSE_S, Connection, OnFault
+from edge.features.outputs.connection import Connection, OnFault
 
 __all__ = ["ActuatorDriver", "levels", "next_blink_ns"]
 
@@ -58,8 +57,7 @@ class ActuatorDriver:
         watchdog_ns: int,
         backoff: Backoff | None = None,
     ) -> None:
-        pauses = backoff or Backoff(random.Random(), FIRST_PAUSE_S, LONGEST_PAUSE_S)
-        self._connection = Connection(open_actuator, clock, pauses, self._device_changed)
+        self._connection = Connection(open_actuator, clock, backoff)
         self._rules, self._clock = tuple(rules), clock
         self._on_fault, self._on_late, self._watchdog_ns = on_fault, on_late, watchdog_ns
         self._changed = threading.Condition()
@@ -67,10 +65,8 @@ class ActuatorDriver:
         self._asked: deque[_Pulse] = deque()
         self._written: dict[int, bool] = {}
         self._on_until_ns: dict[int, int] = {}
-        self._device_fault: str | None = None
         self._is_hanging = False
         self._began_ns: int | None = None  # the turn that the owner takes now
-        self._is_stuck = False
         self._is_closing = False
         self._has_news = False
         self._thread = threading.Thread(target=self._run, name="actuator", daemon=True)
@@ -87,16 +83,8 @@ class ActuatorDriver:
             self._shown_ns = self._clock.monotonic_ns()
             if is_new:
                 self._wake()
-        self._watch_owner()
-
-    def _watch_owner(self) -> None:
-        """Report what the owner cannot while a call of the device does not return."""
-        began_ns = self._began_ns
-        if began_ns is None:
-            return
-        self._expire()
-        if self._clock.monotonic_ns() - began_ns > self._watchdog_ns and not self._is_stuck:
-            self._is_stuck = True
+        if self._began_ns is not None:  # the owner cannot while a call of the device does not return
+            self._expire()
             self._say()
 
     def pulse(self, verdict: str, judged_ns: int) -> None:
@@ -127,9 +115,7 @@ class ActuatorDriver:
             self._written, self._on_until_ns = {}, {}
             self._connection.lost(error)
         self._began_ns = None
-        if self._is_stuck:
-            self._is_stuck = False
-            self._say()
+        self._say()
         self._expire()
         return max(0.0, (self._next_ns() - self._clock.monotonic_ns()) / 1e9)
 
@@ -188,9 +174,8 @@ class ActuatorDriver:
         with self._changed:
             silent_ns = self._clock.monotonic_ns() - self._shown_ns
             is_hanging = silent_ns > self._watchdog_ns and self._view.state != "stopped"
-        if is_hanging != self._is_hanging:
-            self._is_hanging = is_hanging
-            self._say()
+        self._is_hanging = is_hanging
+        self._say()
         if is_hanging:
             self._on_until_ns = {}
 
@@ -224,14 +209,12 @@ class ActuatorDriver:
         blink_ns = next_blink_ns(self._rules, now_ns)
         return min(time for time in (*times, blink_ns) if time is not None and time > now_ns)
 
-    def _device_changed(self, fault: str | None) -> None:
-        self._device_fault = fault
-        self._say()
-
     def _say(self) -> None:
+        began_ns = self._began_ns
+        is_stuck = began_ns is not None and self._clock.monotonic_ns() - began_ns > self._watchdog_ns
         hanging = Sentence("the station's loop does not answer; its outputs are in the state `halted`")
         stuck = Sentence("a call of its driver does not end; its outputs stay as they are")
-        words = [self._device_fault, hanging if self._is_hanging else None, stuck if self._is_stuck else None]
+        words = [self._connection.fault, hanging if self._is_hanging else None, stuck if is_stuck else None]
         self._on_fault(join_sentences(word for word in words if word))
 
     def _run(self) -> None:

@@ -4,6 +4,7 @@ A HID device that was unplugged reads as silent, without an error (hidapi 0.15 o
 """
 
 import logging
+import random
 from collections.abc import Callable
 from typing import Final, Generic, Protocol, TypeVar
 
@@ -12,15 +13,15 @@ from edge.core.errors import DeviceError, DeviceLost
 from edge.core.ports import Clock
 from edge.core.sentence import Sentence
 
-__all__ = ["FIRST_PAUSE_S", "LONGEST_PAUSE_S", "Connection", "OnFault"]
+__all__ = ["Connection", "OnFault"]
 
 log = logging.getLogger(__name__)
 
 OnFault = Callable[[str | None], None]
-"""Called with the reason when a device cannot be used, and with None when it can again."""
+"""Called with the reason while a device cannot be used, and with None while it can."""
 
-FIRST_PAUSE_S: Final = 0.5
-LONGEST_PAUSE_S: Final = 5.0
+_FIRST_PAUSE_S: Final = 0.5
+_LONGEST_PAUSE_S: Final = 5.0
 _PRESENCE_NS: Final = 1_000_000_000
 
 
@@ -35,14 +36,16 @@ P = TypeVar("P", bound=_Port)
 
 
 class Connection(Generic[P]):
-    """One device of its owner thread. `port` is None while it is away, and `retry_ns` then says when to try again."""
+    """One device of its owner thread. `port` is None while it is away, and `retry_ns` then says when to try again.
+    `fault`: why it cannot be used, until it works."""
 
-    def __init__(self, open_port: Callable[[], P], clock: Clock, backoff: Backoff, on_fault: OnFault) -> None:
+    def __init__(self, open_port: Callable[[], P], clock: Clock, backoff: Backoff | None) -> None:
         self.port: P | None = None
+        self.fault: str | None = None
         self.retry_ns = clock.monotonic_ns()
         self._check_ns = 0
-        self._open_port, self._clock, self._backoff, self._on_fault = open_port, clock, backoff, on_fault
-        self._fault: str | None = None
+        self._open_port, self._clock = open_port, clock
+        self._backoff = backoff or Backoff(random.Random(), _FIRST_PAUSE_S, _LONGEST_PAUSE_S)
 
     def open(self) -> P | None:
         """The device, opened where it is time to try; None while it is away. Once a second it must still be there.
@@ -62,28 +65,20 @@ class Connection(Generic[P]):
     def works(self) -> None:
         """The device did what it was asked for."""
         self._backoff.succeeded()
-        self._set(None)
+        self.fault = None
 
     def lost(self, error: Exception) -> None:
         """Close it, and note why and when to try again. A fault of a driver does not end its owner: that would be a
         silence."""
+        self.fault = str(error)
         if not isinstance(error, DeviceError):
+            self.fault = Sentence(f"its driver failed: {error!r}; see the log")
             log.error("the driver failed", exc_info=error)
         self.close()
         self.retry_ns = self._clock.monotonic_ns() + round(self._backoff.failed() * 1e9)
-        self._set(
-            str(error)
-            if isinstance(error, DeviceError)
-            else Sentence(f"its driver failed: {error!r}; see the log")
-        )
 
     def close(self) -> None:
         """Release the device; may be called again."""
         port, self.port = self.port, None
         if port is not None:
             port.close()
-
-    def _set(self, fault: str | None) -> None:
-        if fault != self._fault:
-            self._fault = fault
-            self._on_fault(fault)

@@ -1,6 +1,5 @@
 """The owner of one pedal or button: reads it, debounces it, and reports presses."""
 
-import random
 import threading
 from collections.abc import Callable
 from typing import Final
@@ -8,7 +7,7 @@ from typing import Final
 from edge.core.backoff import Backoff
 from edge.core.digital_io import Trigger
 from edge.core.ports import Clock
-from edge.features.outputs.connection import FIRST_PAUSE_S, LONGEST_PAUSE_S, Connection, OnFault
+from edge.features.outputs.connection import Connection, OnFault
 
 __all__ = ["Debounce", "TriggerReader"]
 
@@ -56,9 +55,9 @@ class TriggerReader:
         debounce_ns: int,
         backoff: Backoff | None = None,
     ) -> None:
-        pauses = backoff or Backoff(random.Random(), FIRST_PAUSE_S, LONGEST_PAUSE_S)
-        self._connection = Connection(open_trigger, clock, pauses, on_fault)
-        self._clock, self._on_press, self._debounce_ns = clock, on_press, debounce_ns
+        self._connection = Connection(open_trigger, clock, backoff)
+        self._clock, self._on_press, self._on_fault = clock, on_press, on_fault
+        self._debounce_ns = debounce_ns
         self._debounce = Debounce(debounce_ns)
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="trigger", daemon=True)
@@ -74,10 +73,12 @@ class TriggerReader:
             if trigger is not None:
                 self._read(trigger)
                 self._connection.works()
-                return 0.0
         except Exception as error:  # noqa: BLE001 - the owner's edge: any fault becomes an alarm
             self._debounce = Debounce(self._debounce_ns)  # held down or not: nothing is known of the next one
             self._connection.lost(error)
+        self._on_fault(self._connection.fault)
+        if self._connection.port is not None:
+            return 0.0
         return max(0.0, (self._connection.retry_ns - self._clock.monotonic_ns()) / 1e9)
 
     def _read(self, trigger: Trigger) -> None:

@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable
 
 import pytest
-from fake_io import FakeRelay, FixedBackoff, run
+from fake_io import Changes, FakeRelay, FixedBackoff, run
 from waiting import wait_until
 
 from edge.clock import ManualClock
@@ -27,13 +27,13 @@ class Bench:
     def __init__(self, rules: tuple[OutputRule, ...] = RULES) -> None:
         self.clock = ManualClock()
         self.relay = FakeRelay(self.clock)
-        self.faults: list[str | None] = []
+        self.faults = Changes()
         self.late: list[str] = []
         self.driver = ActuatorDriver(
             self.relay.open,
             rules,
             self.clock,
-            self.faults.append,
+            self.faults.say,
             self.late.append,
             watchdog_ns=2_000 * MS,
             backoff=FixedBackoff(),

@@ -3,7 +3,7 @@
 import threading
 
 import pytest
-from fake_io import FakePedal, FixedBackoff, run
+from fake_io import Changes, FakePedal, FixedBackoff, run
 
 from edge.clock import ManualClock
 from edge.features.outputs.trigger_reader import TriggerReader
@@ -18,12 +18,12 @@ class Bench:
         self.clock = ManualClock(0)
         self.pedal = FakePedal(self.clock, *changes)
         self.presses: list[int] = []
-        self.faults: list[str | None] = []
+        self.faults = Changes()
         self.reader = TriggerReader(
             self.pedal.open,
             self.clock,
             lambda: self.presses.append(self.clock.monotonic_ns() // MS),
-            self.faults.append,
+            self.faults.say,
             debounce_ns=40 * MS,
             backoff=FixedBackoff(),
         )
