@@ -49,11 +49,8 @@ class Alarms(Protocol):
         """Raise an alarm for a person, or clear it with None. What is said already is not said again, and one that no
         one declares is not published."""
 
-    def set_fault(self, alarm: str, text: Sentence) -> bool:
-        """Raise it, and inspect nothing until `clear_fault`. Returns whether it was not raised before."""
-
-    def clear_fault(self, alarm: str) -> None:
-        """End it; other faults may remain."""
+    def set_fault(self, alarm: str, text: Sentence | None) -> bool:
+        """Raise it, and inspect nothing until it is cleared with None. Returns whether it is newly raised."""
 
     def set_blind(self, reason: Sentence | None) -> None:
         """Say why the sensor's frames show nothing; None while they do."""

@@ -119,13 +119,7 @@ class GelProofWatch(PressStage):
         self._alarms.set_unproven(self._sentence)
         if self._unproven == "warn":
             self._alarms.say("gel_proof", self._sentence, "warning")
-        elif self._unproven == "refuse" and self._sentence is None:
-            self._alarms.clear_fault("gel_proof")
-        elif (
-            self._unproven == "refuse"
-            and self._sentence
-            and self._alarms.set_fault("gel_proof", self._sentence)
-        ):
+        elif self._unproven == "refuse" and self._alarms.set_fault("gel_proof", self._sentence):
             log.warning("%s", self._sentence)
 
     def _read_words(self, key: GelBundle) -> GelProof | None:

@@ -292,12 +292,10 @@ class ReferenceGuard(PressStage):
             )
             sentences.insert(0, _say_void(self._armed) or wait)
         text = Sentence("; ".join(sentences))
-        if is_refusing:
-            if self._alarms.set_fault("reference", text):
-                log.warning("%s", text)
-            return
-        self._alarms.clear_fault("reference")
-        self._alarms.say("reference", text or None, "warning")
+        if self._alarms.set_fault("reference", text if is_refusing else None):
+            log.warning("%s", text)
+        if not is_refusing:
+            self._alarms.say("reference", text or None, "warning")
 
 
 def _say_void(armed: _Armed) -> Sentence | None:

@@ -287,7 +287,7 @@ class InspectionSession:
             case ReferenceReady():
                 if self._detector.newest is not None:
                     self.inspector.warm_up(self._detector.newest)
-                self._status.clear_fault("free_gel")
+                self._status.set_fault("free_gel", None)
                 self._status.set_waiting_for(None)
                 self._compare_light()
                 self._follow_light()

@@ -294,7 +294,5 @@ class PartSelection:
         """While golden frames score otherwise, no press has a verdict."""
         fault = self.golden.fault
         self.inspector.fault = fault
-        if fault is None:
-            self._status.clear_fault("golden")
-        elif self._status.set_fault("golden", Sentence(fault)):
+        if self._status.set_fault("golden", None if fault is None else Sentence(fault)):
             log.error("%s", fault)

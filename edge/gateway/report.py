@@ -295,7 +295,7 @@ class Report:
             self.note_store_fault(error)
             return
         if not is_halted:
-            status.clear_fault("store")
+            status.set_fault("store", None)
         counters = self._publisher.counters()
         receivers = {name: _describe(sink) for name, sink in counters.items()}
         gel = session.gel if session else None

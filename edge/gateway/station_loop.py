@@ -234,7 +234,7 @@ class StationLoop:
         check_mode(parts.selection.inspector.bundle, identity)
         gel = parts.store.gel(identity.serial, parts.clock.time_ns())
         parts.status.counts(parts.store.findings())
-        parts.status.clear_fault("store")
+        parts.status.set_fault("store", None)
         self._say_info()
         recorder = Recorder(
             parts.store,
@@ -264,7 +264,7 @@ class StationLoop:
         for report in self.session.record() if self.session else ():
             for stage in awaited:  # before the publisher's threads wake
                 stage.record(report.press, report.gel)
-            self.parts.status.clear_fault("store")
+            self.parts.status.set_fault("store", None)
             self.parts.publisher.wake()
             self.summary.add(report)
             self._on_press(report)

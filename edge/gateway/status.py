@@ -63,22 +63,18 @@ class StationStatus:
                     log.error("%s", _HANGING)
                 self._say_state()
 
-    def set_fault(self, alarm: str, text: Sentence) -> bool:
-        """Nothing can be inspected until `clear_fault`: an alarm, and the state. Returns whether this is a change."""
+    def set_fault(self, alarm: str, text: Sentence | None) -> bool:
+        """Nothing can be inspected until it is None: an alarm, and the state. Returns whether it is newly raised."""
         with self._lock:
-            is_new = alarm not in self._faults
-            if self._faults.get(alarm) != text:
+            before = self._faults.get(alarm)
+            if text is not None:
                 self._faults[alarm] = text
+            elif before is not None:
+                del self._faults[alarm]
+            if text != before:
                 self.say(alarm, text)
                 self._say_state()
-            return is_new
-
-    def clear_fault(self, alarm: str) -> None:
-        """The fault is over; other faults may remain."""
-        with self._lock:
-            if self._faults.pop(alarm, None) is not None:
-                self.say(alarm, None)
-            self._say_state()
+            return before is None and text is not None
 
     def sensor_changed(self, sensor: AcquisitionStatus) -> None:
         """Called from the reader thread, once per change."""
@@ -99,15 +95,12 @@ class StationStatus:
 
     def _say_device(self) -> None:
         faults = [fault for fault in (self._sensor_fault, self._blind) if fault is not None]
-        if faults:
-            self.set_fault("device", Sentence("; ".join(faults)))
-        else:
-            self.clear_fault("device")
+        self.set_fault("device", join_sentences(faults))
 
     def contact(self, sentence: Sentence | None, is_fault: bool) -> None:
         """An alarm while a contact lasts longer than the usual ones, and in the end a fault."""
         if sentence is None:
-            self.clear_fault("contact")
+            self.set_fault("contact", None)
             self.say("contact", None)
         elif is_fault:
             if self.set_fault("contact", sentence):

@@ -128,7 +128,7 @@ def test_a_station_ended_or_halted_says_nothing(station: SteppedStation, said: l
         station.turn()
         assert said[-1]["state"] == "unknown"
         assert said[-1]["press_id"] is None
-        station.parts.status.clear_fault("golden")
+        station.parts.status.set_fault("golden", None)
     station.turn()
     assert said[-1]["state"] == "lift"
     station.find(ContactWatch).close()

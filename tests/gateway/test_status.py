@@ -59,11 +59,11 @@ def test_one_fault_cleared_is_not_ready_while_another_lasts() -> None:
     status = StationStatus(heard, ManualClock())
     status.set_fault("device", "the sensor is gone.")
     status.set_fault("store", "the disk is full.")
-    status.clear_fault("device")
+    status.set_fault("device", None)
 
     assert (heard.states[-1], heard.reasons[-1]) == ("halted", "the disk is full.")
     assert heard.alarms == {"alarm/store"}
-    status.clear_fault("store")
+    status.set_fault("store", None)
     assert heard.states[-1] == "ready"
     assert heard.alarms == set()
 
