@@ -55,9 +55,6 @@ class Alarms(Protocol):
     def set_blind(self, reason: Sentence | None) -> None:
         """Say why the sensor's frames show nothing; None while they do."""
 
-    def contact(self, sentence: Sentence | None, is_fault: bool) -> None:
-        """Say that a contact does not end; None where none does. is_fault: nothing is inspected."""
-
     def set_unproven(self, sentence: Sentence | None) -> None:
         """Say why the bundle in use is not yet proven on the mounted gel; None where it is."""
 

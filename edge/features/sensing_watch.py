@@ -89,7 +89,11 @@ class SensingWatch(PressStage):
             self._learning_ns = timestamp_ns
         if sight.lost is None:
             is_late = self._is_learning and timestamp_ns - self._learning_ns > _LEARNT_AFTER_S * 1e9
-            self._alarms.contact(*((_NOT_LEARNT, False) if is_late else self._contact.look(timestamp_ns)))
+            sentence, is_fault = (_NOT_LEARNT, False) if is_late else self._contact.look(timestamp_ns)
+            if self._alarms.set_fault("contact", sentence if is_fault else None):
+                log.error("%s", sentence)
+            if not is_fault:
+                self._alarms.say("contact", sentence, "warning")
         if (self._blind is None) != (sight.lost is None):
             self._blind = None if sight.lost is None else self._sentence(sight, timestamp_ns)
             log.warning("%s", self._blind or "the sensor shows its gel again")

@@ -97,17 +97,6 @@ class StationStatus:
         faults = [fault for fault in (self._sensor_fault, self._blind) if fault is not None]
         self.set_fault("device", join_sentences(faults))
 
-    def contact(self, sentence: Sentence | None, is_fault: bool) -> None:
-        """An alarm while a contact lasts longer than the usual ones, and in the end a fault."""
-        if sentence is None:
-            self.set_fault("contact", None)
-            self.say("contact", None)
-        elif is_fault:
-            if self.set_fault("contact", sentence):
-                log.error("%s", sentence)
-        elif "contact" not in self._raised:
-            self.say("contact", sentence, "warning")
-
     def stopped(self) -> None:
         """The intended end. Alarms of other packages end with it: at the next start a package may be gone, and then
         nobody knows what to clear."""

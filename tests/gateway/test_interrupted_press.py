@@ -97,21 +97,23 @@ def test_a_free_gel_that_is_never_seen_at_rest_is_an_alarm(
     shown: list[float | None], is_said: bool, is_over: bool, tmp_path: Path
 ) -> None:
     """After 15 s: until it is learnt the station inspects nothing. It ends when it is."""
-    earlier, said = PressDetector(PROFILE), list[tuple[object, bool]]()
+    earlier, said, faults = PressDetector(PROFILE), list[str | None](), list[str | None]()
     for frame in frames(FREE):
         earlier.feed(frame)
     detector = PressDetector(PROFILE, stored=earlier.tracker.reference)
     with Store(tmp_path / "gelgate.db") as store:
-        watch = SensingWatch(Mock(contact=lambda *one: said.append(one)), store, ManualClock())
+        alarms = Mock(
+            say=lambda _, text, severity: said.append(text), set_fault=lambda _, text: faults.append(text)
+        )
+        watch = SensingWatch(alarms, store, ManualClock())
         for frame in frames(shown):
             look = detector.feed(frame)
             for event in look.events:
                 watch.see(event)
             watch.look(look)
-    texts = [str(text) for text, _ in said if text is not None]
-    assert any("was not seen at rest for more than 15 s" in text for text in texts) == is_said
-    assert (said[-1][0] is None) == is_over
-    assert not any(is_fault for _, is_fault in said)
+    assert any("was not seen at rest for more than 15 s" in (text or "") for text in said) == is_said
+    assert (said[-1] is None) == is_over
+    assert not any(faults)
 
 
 @pytest.mark.parametrize(("free_frames", "is_said"), [(0, False), (1, True), (3, False)])
@@ -119,9 +121,9 @@ def test_a_lift_that_is_too_short_to_end_a_press_is_an_alarm(
     free_frames: int, is_said: bool, tmp_path: Path
 ) -> None:
     """Of two parts that follow each other so, the second is neither judged nor counted."""
-    detector, said = PressDetector(PROFILE), list[object]()
+    detector, said = PressDetector(PROFILE), list[str | None]()
     with Store(tmp_path / "gelgate.db") as store:
-        watch = SensingWatch(Mock(contact=lambda *one: said.append(one[0])), store, ManualClock())
+        watch = SensingWatch(Mock(say=lambda _, text, severity: said.append(text)), store, ManualClock())
         for frame in frames([*FREE, *PRESSED, *[0.0] * free_frames, *PRESSED, *FREE]):
             look = detector.feed(frame)
             for event in look.events:
