@@ -103,10 +103,8 @@ class GelScars:
         """
         self.is_fresh = False
         """Whether the free gel that is judged with next was seen for a moment after a release alone."""
-        self._found: tuple[tuple[View | None, View | None, View | None], Marks | None] = (
-            (None, None, None),
-            None,
-        )
+        self._asked: tuple[View | None, View | None, View | None] = (None, None, None)
+        self._found: tuple[Marks | None, Marks | None] = (None, None)
 
     def see_free(self, free: View | None, left: View | None) -> None:
         """Look for clear marks of the free gel as a press begins; it takes both as `judge` does. Where it is not known,
@@ -187,28 +185,31 @@ class GelScars:
         )
         return _locate(press, float(row), float(column), is_outside=bool(to_part > to_outside))
 
-    def find_marks(self, free: View | None, left: View | None) -> Marks | None:
-        """Find the marks of the free gel, once for the same pictures, which do not change; None where they are not
-        known. It may be asked before the press is judged."""
+    def find_marks(self, free: View | None, left: View | None) -> tuple[Marks | None, Marks | None]:
+        """Find the marks of the free gel, once for the same pictures, which do not change: first without those that may
+        be the rest of the last press, then with them; None where they are not known. It may be asked before the press
+        is judged."""
         first = self.first
         if free is None or first is None or free.shape != first.shape:
-            return None
-        if any(one is not other for one, other in zip(self._found[0], (first, free, left), strict=True)):
-            self._found = (first, free, left), marks(first, free, left, is_fresh=self.is_fresh)
-        return self._found[1]
+            return None, None
+        asked = first, free, left
+        if any(one is not other for one, other in zip(self._asked, asked, strict=True)):
+            known = marks(*asked, is_fresh=self.is_fresh)
+            self._asked, self._found = asked, (known, marks(*asked) if self.is_fresh else known)
+        return self._found
 
     def _blame_places(
         self, press: ScoredPress, excess: F32, found: _Places, free: View | None, left: View | None
     ) -> tuple[list[Blame], Mask]:
         """Blame every place that exceeds the limit somewhere; return also the places to mask from now on. excess: 0
         where nothing is judged. free, left: as `judge` takes them."""
-        known = self.find_marks(free, left)
+        known, at_most = self.find_marks(free, left)
         scars = np.zeros(excess.shape, bool)
         numbers = np.flatnonzero(found.touch(excess > 0))
         judged = [np.where(found.labels == n, excess, np.float32(0)) for n in numbers]
         blames, lefts = [], _lefts(press, judged, known)
-        if self.is_fresh and known is not None and free is not None and self.first is not None:
-            at_least = _lefts(press, judged, marks(self.first, free, left))
+        if at_most is not known:
+            at_least = _lefts(press, judged, at_most)
             lefts = [
                 None if one is None or least is None else doubt(one, least)
                 for one, least in zip(lefts, at_least, strict=True)

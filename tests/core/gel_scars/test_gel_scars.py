@@ -308,6 +308,20 @@ def test_marks_are_found_once_for_the_same_pictures(monkeypatch: pytest.MonkeyPa
     assert len(asked) == 5
 
 
+def test_marks_of_a_moment_after_the_release_are_found_ahead_with_and_without_the_rest_of_the_press(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A press that fails is recorded without a further look for marks."""
+    asked = list[dict[str, bool]]()
+    monkeypatch.setattr(gel_scars, "marks", lambda *given, **how: asked.append(how) or marks(*given, **how))
+    gel, free, left = GelScars(first=FREE), marked(20), np.zeros_like(FREE)
+    gel.is_fresh = True
+    gel.find_marks(free, left)
+    assert asked == [{"is_fresh": True}, {}]
+    assert gel.judge(press(free=free), free, left).blame is not None
+    assert len(asked) == 2
+
+
 def pose_about(place: np.ndarray, turn_rad: float) -> Pose:
     """A part that is turned about this place of the region, (x, y) pixels."""
     at = Pose(turn_rad=turn_rad).matrix((REGION.width, REGION.height)) @ [*place, 1]
