@@ -4,33 +4,57 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
+from calibration.experiments.harness.evidence import STABLE_WITHIN, stable_from
 from calibration.experiments.harness.published import paper_medians, stable_fraction
 from calibration.experiments.harness.rows import Rows
 from calibration.experiments.harness.study import Options
 from edge.core.errors import ConfigError
 
 
-def curve(means: dict[float, float]) -> list[dict[str, Any]]:
+def curve(means: dict[float, float], part: str = "PZ1", measure: str = "aupro_001") -> list[dict[str, Any]]:
     """Rows of two seeds around each mean."""
     return [
         {
-            "key": f"{fraction} {seed}",
+            "key": f"{part} {measure} {fraction} {seed}",
             "study": "good-fraction",
             "method": "padim",
             "mode": "corrected",
             "backbone": "b",
             "split": "press",
-            "part": "PZ1",
+            "part": part,
             "position": "pos1",
             "fraction": fraction,
             "seed": seed,
-            "aupro_001": mean + (0.05 if seed else -0.05),
+            measure: mean + (0.05 if seed else -0.05),
         }
         for fraction, mean in means.items()
         for seed in (0, 1)
     ]
+
+
+def stable(rows: list[dict[str, Any]]) -> float | None:
+    return stable_from(pd.DataFrame(rows))
+
+
+def test_the_curve_is_flat_from_the_stable_fraction_on() -> None:
+    """Every larger fraction is near the last mean; a lucky small one does not count."""
+    near = STABLE_WITHIN / 2
+    means = {0.1: 0.5, 0.2: 0.8, 0.3: 0.7, 0.4: 0.8 - near, 0.5: 0.8 + near, 1.0: 0.8}
+
+    assert stable(curve(means)) == 0.4
+    assert stable(curve({0.5: 0.1, 1.0: 0.8})) == 1.0
+
+
+def test_the_rule_holds_for_all_parts_and_measures_together() -> None:
+    """The slowest curve decides."""
+    fast, slow = {0.1: 0.8, 0.5: 0.8, 1.0: 0.8}, {0.1: 0.2, 0.5: 0.8, 1.0: 0.8}
+
+    assert stable(curve(fast)) == 0.1
+    assert stable([*curve(fast), *curve(slow, part="PZ2")]) == 0.5
+    assert stable([*curve(fast), *curve(slow, measure="pixel_auroc")]) == 0.5
 
 
 def test_rows_of_the_folder_give_it(tmp_path: Path) -> None:
