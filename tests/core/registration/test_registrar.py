@@ -189,7 +189,7 @@ def test_a_regular_part_half_a_pitch_off_is_found_on_either_side() -> None:
     assert not left.is_unique
 
 
-@pytest.mark.parametrize("name", ["BLOCK", "OTHER", "TEETH", "CROSS", "BALL", "GRID", "EDGE"])
+@pytest.mark.parametrize("name", ["BLOCK", "TEETH", "CROSS", "BALL", "GRID", "EDGE"])
 def test_which_place_of_a_part_lies_where_is_known_of_no_part_that_repeats_itself(name: str) -> None:
     """A pitch further on, along an edge, or turned; a part that is held keeps its turn."""
     regular = {"GRID", "EDGE"}
