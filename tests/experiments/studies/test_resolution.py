@@ -4,7 +4,6 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from study_dataset import options, study_dataset
@@ -81,19 +80,3 @@ def test_one_resolution_alone_is_refused(tmp_path: Path) -> None:
         study_resolution(options(root, tmp_path, seeds=1))
     with pytest.raises(DatasetError, match=r"PZ3/pos1 of dataset .* has pictures of one resolution only"):
         study_resolution(options(root, tmp_path, seeds=1, parts=("PZ3",)))
-
-
-def test_rows_of_the_other_mode_are_added_in_tiles(
-    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Its trunk is cut after a deeper layer, and put into tiles; an empty mask is said once."""
-    copy = Path(shutil.copytree(dataset, tmp_path / "data"))
-    cv2.imwrite(
-        str(copy / "PZ3/pos1/fault/mask_320x240/PZ3_pos1_s005_p01.png"), np.zeros((240, 320), np.uint8)
-    )
-    study_resolution(options(copy, tmp_path, seeds=1, fraction=0.5, views=("lr_tiled",), presses=2))
-    asked = options(copy, tmp_path, seeds=1, methods=("padim",), modes=("paper",), fraction=0.5)
-    rows = study_resolution(replace(asked, views=("lr_tiled",), presses=2)).read()
-
-    assert [row["mode"] for row in rows] == ["corrected", "paper"]
-    assert capsys.readouterr().err.count("has an empty mask") == 2  # once in each run
