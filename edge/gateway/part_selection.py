@@ -36,7 +36,7 @@ class GoldenWatch:
     """The golden frames of the bundle in use, scored again every hour: a machine that computes differently is found.
 
     `watch` a bundle from now on, then `step` in every turn in which nothing presses the gel: no press waits for more
-    than one frame's score. fault: why its scores cannot be trusted, or None.
+    than one frame's score. The bundle's `Inspector.fault` is why its scores cannot be trusted.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -45,42 +45,39 @@ class GoldenWatch:
         self._number = 0
         self._next_ns = 0
         self._asked: list[Future[str | None]] = []
-        self.fault: str | None = None
 
     def watch(self, inspector: Inspector, *, is_checked: bool = False) -> None:
         """Another bundle is in use. is_checked: its frames were scored just now."""
         self._inspector = inspector
         self._number = 0
-        self.fault = inspector.fault  # of when it was in use before, until its frames score well
         self._next_ns = self._clock.monotonic_ns() + (round(GOLDEN_EVERY_S * 1e9) if is_checked else 0)
 
     def request(self) -> "Future[str | None]":
-        """Score all frames with the next turns; the result is `fault` after the last one."""
+        """Score all frames with the next turns; the result is the fault after the last one."""
         self._number, self._next_ns = 0, self._clock.monotonic_ns()
         self._asked.append(Future())
         return self._asked[-1]
 
-    def step(self) -> bool:
-        """Score one golden frame, if it is time; returns whether `fault` has changed."""
+    def step(self) -> None:
+        """Score one golden frame, if it is time."""
         if self._inspector is None or self._clock.monotonic_ns() < self._next_ns:
-            return False
+            return
         fault = None
         try:
             if self._number < len(self._inspector.bundle.golden):
                 self._inspector.scorer.check_golden_frame(self._number)
                 self._number += 1
                 if self._number < len(self._inspector.bundle.golden):
-                    return False
+                    return
         except BundleCorrupt as error:
-            fault = str(error)
+            fault = Sentence(str(error))
         self._number = 0
         self._next_ns = self._clock.monotonic_ns() + round((AFTER_FAULT_S if fault else GOLDEN_EVERY_S) * 1e9)
-        before, self.fault = self.fault, fault
+        self._inspector.fault = fault
         for asked in self._asked:
             if asked.set_running_or_notify_cancel():
                 asked.set_result(fault)
         self._asked.clear()
-        return before != fault
 
     def close(self) -> None:
         """Score nothing any more: who waits for golden frames is not kept waiting. May be called again."""
@@ -209,8 +206,11 @@ class PartSelection:
                 self._unrecorded.popleft()
             if not is_pressed and (self.is_waiting or not self._is_recorded):
                 self._change()
-            elif not is_pressed and self.golden.step():
-                self._report_golden()
+            elif not is_pressed:
+                self.golden.step()
+            # While golden frames score otherwise, no press has a verdict.
+            if self._status.set_fault("golden", self.inspector.fault):
+                log.error("%s", self.inspector.fault)
         finally:  # new bundles are there, recorded or not
             if self.inspector is not inspector or self.bundles is not bundles:
                 self.on_change()
@@ -242,7 +242,6 @@ class PartSelection:
         if chosen.inspector is not before:
             log.info("%s is inspected from now on, with bundle %s", chosen.part, bundle.where)
             self.golden.watch(chosen.inspector)
-            self._report_golden()
 
     def _take(self, staged: Opened | GelgateError) -> None:
         """Use the new bundles, unless the selected position would have none."""
@@ -289,10 +288,3 @@ class PartSelection:
                 after={"bundles": bundles},
             )
         )
-
-    def _report_golden(self) -> None:
-        """While golden frames score otherwise, no press has a verdict."""
-        fault = self.golden.fault
-        self.inspector.fault = fault
-        if self._status.set_fault("golden", None if fault is None else Sentence(fault)):
-            log.error("%s", fault)

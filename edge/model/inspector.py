@@ -50,7 +50,7 @@ class Inspector:
 
     light: FollowedLight | None = None
     new_gel: View | None = None
-    fault: str | None = None
+    fault: Sentence | None = None
     took_s: float = math.inf
 
     def __init__(self, scorer: Scorer, clock: Clock) -> None:

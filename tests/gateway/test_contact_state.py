@@ -124,11 +124,11 @@ def test_a_turn_that_waited_shows_no_lift_at_its_end(
 def test_a_station_ended_or_halted_says_nothing(station: SteppedStation, said: list[dict[str, Any]]) -> None:
     station.play_until(lambda: bool(said) and said[-1]["state"] == "lift")
     with station.refusing("acts"):
-        station.parts.status.set_fault("golden", "a test")
+        station.parts.selection.inspector.fault = "a test"
         station.turn()
         assert said[-1]["state"] == "unknown"
         assert said[-1]["press_id"] is None
-        station.parts.status.set_fault("golden", None)
+        station.parts.selection.inspector.fault = None
     station.turn()
     assert said[-1]["state"] == "lift"
     station.find(ContactWatch).close()
