@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import itertools
 import re
 import threading
 from collections.abc import Callable, Iterator
@@ -13,7 +14,7 @@ from opcua_plc import JOBS, RESULT, OpcUaPlc
 
 from edge.clock import ManualClock
 from edge.core.errors import ConfigError
-from edge.core.handshake import Code, Trigger
+from edge.core.handshake import Code, HandshakeView, Trigger
 from plugins.handshakes import opcua
 from plugins.handshakes.nodes import VARIABLES
 from plugins.handshakes.opcua import OpcUaOptions, OpcUaServer
@@ -213,34 +214,23 @@ def test_requests_that_come_together_see_what_those_before_have_done(served: Ser
     assert (before, after) == ([1, True, False], [2, False, True])
 
 
-def test_one_request_reads_one_moment(served: Served, plc: OpcUaPlc) -> None:
-    """While results come and go on another thread, no request sees half of one."""
-    stop = threading.Event()
+def test_one_request_reads_one_moment(served: Served, plc: OpcUaPlc, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While results come and go between any two looks at the station, no request sees half of one."""
+    look, numbers = served.handshake.read, itertools.count(1)
 
-    def work() -> None:
-        number = 0
-        while not stop.is_set():
-            number += 1
-            with served.handshake._lock:
-                served.bench.trigger(number)
-                served.bench.press("pass" if number % 2 else "fail", f"P{number}")
-            with served.handshake._lock:
-                served.bench.machine.acknowledge(served.bench.now_ns)
+    def press_and_look() -> HandshakeView:
+        number = next(numbers)
+        served.bench.machine.acknowledge(served.bench.now_ns)
+        served.bench.trigger(number)
+        served.bench.press("pass" if number % 2 else "fail", f"P{number}")
+        return look()
 
-    thread = threading.Thread(target=work)
-    thread.start()
-    try:
-        seen = [plc.read() for _ in range(60)]
-    finally:  # else it triggers in every test that follows
-        stop.set()
-        thread.join()
-    for one in seen:
+    monkeypatch.setattr(served.handshake, "read", press_and_look)
+    for one in [plc.read() for _ in range(20)]:
+        assert (one["IsAvailable"], one["ResultId"]) == (True, f"P{one['JobId']}")
+        assert one["ResultContent"] == ("pass" if one["JobId"] % 2 else "fail")
         assert one["IsPass"] is not one["IsNotPassed"]
-        assert one["IsAvailable"] is (one["ResultContent"] != "")
-        if one["IsAvailable"]:
-            assert one["ResultId"] == f"P{one['JobId']}"
-            assert one["ResultContent"] == ("pass" if one["JobId"] % 2 else "fail")
-    assert any(one["IsPass"] for one in seen)
+        assert one["IsPass"] is (one["ResultContent"] == "pass")
 
 
 def test_a_subscription_is_told(served: Served, plc: OpcUaPlc) -> None:
