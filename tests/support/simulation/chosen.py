@@ -15,8 +15,8 @@ class Fault:
     seed: int
 
 
-SMALL_MB, TINY_MB = 0.03, 0.01
-"""Less than a person may set: some twenty results are more, or some seven."""
+PICTURES_MB, SMALL_MB, TINY_MB = 0.12, 0.03, 0.01
+"""Less than a person may set: some ten pictures are more, some twenty results, or some seven."""
 
 
 def is_small(outbox_mb: float) -> bool:
@@ -97,11 +97,12 @@ FAMILIES = (
     Family({"select part": 30, "stop": 4}, {"trigger": "command", "is_slow": True}),
     Family({"hang": 20, "freeze": 6, "relay": 4}, {"has_robot": True, "until_next": True, "presses": 40}),
     Family({"lock database": 60}, {"presses": 40}),
-    Family({"exchange bundle": 30, "select part": 6, "reload": 4}),
+    Family({"exchange bundle": 30, "select part": 6, "reload": 4}, {"presses": 40}),
     Family({REFERENCE: 12, "replace gel": 6, "relearn": 3}, {"features": (REFERENCE,)}),
     Family({OVERVIEW: 12}, {"features": (OVERVIEW,), "presses": 40}),
     Family(
-        {"hang up": 30, "stop": 8}, {"outbox_mb": TINY_MB, "presses": 40, "brokers": 1, "moods": ("away",)}
+        {"hang up": 15, "stop": 8},
+        {"outbox_mb": PICTURES_MB, "presses": 30, "brokers": 1, "moods": ("away",)},
     ),
     Family({"silence": 10, "unplug": 5, "stop": 6}, {"has_page": True}),
     Family(
@@ -110,9 +111,10 @@ FAMILIES = (
     ),
     Family({"plc": 5, "second plc": 2, "select part": 8, "silence": 1}, {"plc": "modbus", "is_slow": True}),
     Family({"second sensor": 20, "kill start": 6, "stop hanging": 6, "lose database": 4}),
-    Family({"hang up": 40, "stop": 4, "step clock": 6}, {"moods": CONNECTIONS}),
+    Family({"hang up": 40, "stop": 4, "step clock": 6}, {"moods": CONNECTIONS, "presses": 30}),
     Family(
-        {"hang up": 40, "kill": 6, "stop": 4, "bad disk": 3, "slow disk": 3}, {"moods": ANSWERS, "level": "5"}
+        {"hang up": 40, "kill": 6, "stop": 4, "bad disk": 3, "slow disk": 3},
+        {"moods": ANSWERS, "level": "5", "presses": 40},
     ),
     Family({"lose power": 10, "kill": 6, "replace gel": 3}, {"has_file": True, "has_archive": True}),
     Family({"silence": 10, "unplug": 8, "hold back": 6, "blind": 6, "kill": 4}),

@@ -69,7 +69,10 @@ def bad_disk(run: "Simulation", rng: random.Random) -> float:
 def lock_database(run: "Simulation", rng: random.Random) -> float:
     """Another program locks the database: a shell, a check or a backup; or it is alone while the station starts."""
     locker, kind = run.station.disk.locker, rng.choice(("writes", "writes", "writes", "reads", "is alone"))
+    if kind == "is alone" and not run.world.hand.presses:
+        return -1.0
     lasts_s = rng.choice((0.05, 0.6, 2.0, 4.0, 8.0, 15.0, 30.0))
+    lasts_s = min(lasts_s, 8.0) if kind == "reads" else lasts_s
 
     def leave() -> None:
         locker.leave()

@@ -74,7 +74,7 @@ def hang_up(run: "Simulation", rng: random.Random) -> float:
         broker.retained.clear()
     times_s = (8, 8, 20, 20) if run.is_full_and_away else (1, 4, 8, 20)
     if run.chosen.moods:  # and nothing else
-        times_s = (4, 4, 10, 10) if is_small(run.chosen.outbox_mb) else (1, 2, 4, 8)
+        times_s = (3, 3, 4, 5) if is_small(run.chosen.outbox_mb) else (1, 2, 4, 8)
     lasts_s = rng.choice(times_s) * (4 if is_small(run.chosen.outbox_mb) else 1)
     return run.for_a_while(f"{broker.name} {broker.mood}", lasts_s, broker.mend)
 

@@ -59,7 +59,7 @@ def _is_loss_unread(run: "Simulation") -> bool:
     """A press waits for room, a result for its broker, or messages were dropped from a full outbox, and nobody has
     acknowledged it."""
     if is_small(run.chosen.outbox_mb):
-        return run.station.is_drop_open
+        return run.station.is_drop_open and not run.is_broker_away
     return _is_press_waiting(run) or _is_result_waiting(run)
 
 
