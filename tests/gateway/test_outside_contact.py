@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scarred_gel import scarred_recording
-from station import Motion, small_bundle, station_config
+from station import Motion, small_bundle, station_config, variant
 from stepped_station import SteppedStation
 
 from edge.core.verdict import Kind
@@ -31,18 +31,24 @@ def with_pin(frame: NDArray[np.uint8], press: int) -> NDArray[np.uint8]:
 
 
 @pytest.fixture(scope="module")
-def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[SteppedStation, list[str | None]]:
-    """The station, and its alarm about the gel after each press, and after a change of gel."""
-    folder = tmp_path_factory.mktemp("speck")
+def pinned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bundle fitted on six sound presses of the part."""
+    folder = tmp_path_factory.mktemp("pinned")
     nominal = scarred_recording(
         folder / "nominal", 6, marks={}, motion=BRIEF, on_part=lambda frame, press: with_pin(frame, SOUND)
     )
+    return small_bundle(folder / "bundle", nominal, threshold=0.02)
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory, pinned: Path) -> tuple[SteppedStation, list[str | None]]:
+    """The station, and its alarm about the gel after each press, and after a change of gel."""
+    folder = tmp_path_factory.mktemp("speck")
     film = scarred_recording(
         folder / "film", PRESSES, marks={SPECK_FROM: [SPECK]}, motion=BRIEF, levels=LEVELS, on_part=with_pin
     )
-    bundle = small_bundle(folder / "bundle", nominal, threshold=0.02)
     alarms = []
-    with SteppedStation(station_config(folder / "station", film, bundle)) as station:
+    with SteppedStation(station_config(folder / "station", film, pinned)) as station:
         for number in range(1, PRESSES + 1):
             station.play_until(lambda number=number: len(station.reports) == number)  # type: ignore[misc]
             alarms.append(station.alarm("gel_mark"))
@@ -82,15 +88,12 @@ def test_a_mark_in_five_presses_in_a_row_is_an_alarm_that_says_where(played: Pla
 
 @pytest.mark.parametrize("threshold", [0.3, 0.1])
 def test_a_strong_speck_is_said_in_five_presses_and_ends_where_it_is_wiped_off(
-    tmp_path: Path, threshold: float
+    tmp_path: Path, pinned: Path, threshold: float
 ) -> None:
     """Whether presses exceed the limit by it or not: it shows as much as something that touches, and no press is
     failed by it, for it was there just before. The picture shows the place at half its light. A missing pin fails
     meanwhile."""
     wiped, no_pin = SPECK_FROM + 6, SPECK_FROM + 5
-    nominal = scarred_recording(
-        tmp_path / "nominal", 6, marks={}, motion=BRIEF, on_part=lambda frame, press: with_pin(frame, SOUND)
-    )
     film = scarred_recording(
         tmp_path / "film",
         wiped + 2,
@@ -100,7 +103,7 @@ def test_a_strong_speck_is_said_in_five_presses_and_ends_where_it_is_wiped_off(
         levels=30,
         on_part=lambda frame, press: with_pin(frame, NO_PIN if press == no_pin else SOUND),
     )
-    bundle, alarms = small_bundle(tmp_path / "bundle", nominal, threshold=threshold), []
+    bundle, alarms = variant(pinned, tmp_path / "bundle", threshold={"value": threshold}), []
     with SteppedStation(station_config(tmp_path / "station", film, bundle)) as station:
         for number in range(1, wiped + 3):
             station.play_until(lambda number=number: len(station.reports) == number)  # type: ignore[misc]

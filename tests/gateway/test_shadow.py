@@ -28,9 +28,9 @@ PZ0 = PartPosition("PZ0", "pos1")
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eight short presses, the third and sixth one dented."""
+    """Seven short presses, the third and sixth one dented."""
     folder = tmp_path_factory.mktemp("shadow") / "presses"
-    return press_recording(folder, 8, dented=[2, 5], motion=Motion(hold=8, idle=24), seed=5)
+    return press_recording(folder, 7, dented=[2, 5], motion=Motion(hold=8, idle=24), seed=5)
 
 
 @pytest.fixture
@@ -258,7 +258,7 @@ def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
     with SteppedStation(shadowed(bundle)) as station:
         station.play_presses(1)
         station.ask("replace_gel")
-        station.play_presses(8)
+        station.play_presses(7)
         ids = [one.press_id for one in station.results]
         say(station, dict.fromkeys((0, 1, 3, 4, 6), "good"))
     four, three = [ids[k] for k in (1, 3, 4, 6)], [ids[k] for k in (0, 1, 3, 4)]
@@ -300,7 +300,7 @@ def test_a_shadow_that_cures_alarms_need_not_wait(shadowed: Shadowed, tmp_path: 
     strict = FIVE | {"value": 1e-9}
     in_use = variant(bundle, tmp_path / "strict", threshold=strict)
     with SteppedStation(shadowed(in_use)) as station:
-        station.play_presses(8)
+        station.play_presses(7)
         say(station, dict.fromkeys((0, 1, 3, 4, 6), "good"))
         ids = [one.press_id for one in station.results]
 
@@ -320,7 +320,7 @@ def test_a_shadow_that_cures_alarms_need_not_wait(shadowed: Shadowed, tmp_path: 
     of_another = ask(stricter, 0, 1, 3, 4, 6)
     taken = ask(in_use, 0, 1, 3, 4, 6)
 
-    assert station.verdicts == ["fail"] * 8
+    assert station.verdicts == ["fail"] * 7
     assert "both have judged 4 presses, at least 100 are needed" in waits
     assert "both have judged 0 presses, at least 100 are needed" in of_another
     assert taken.startswith("5 presses judged by both: 0 pass the bundle in use alone, 5 the shadow alone")
@@ -332,7 +332,7 @@ def test_known_damage_of_before_the_shadow_is_judged_from_the_archive(
     """And what is gone from there is named: nobody knows whether it is found."""
     lenient = variant(bundle, tmp_path / "lenient", threshold=FIVE | {"value": 1e6})
     with SteppedStation(shadowed(bundle)) as station:
-        station.play_presses(8)
+        station.play_presses(6)
         say(station, {2: "damaged", 5: "damaged"})
         ids = [one.press_id for one in station.results]
     (tmp_path / "station" / "gelgate.archive" / "presses" / f"{ids[5]}.json").unlink()
