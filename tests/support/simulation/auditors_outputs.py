@@ -28,7 +28,8 @@ def audit_lamp(world: World, station: Station) -> Iterator[str]:
     """What holds at each moment: no pass is shown for a part that has none yet, nor without a picture of the gel."""
     press, relay, now_ns = world.hand.press, world.relay, world.clock.now_ns
     is_well = relay.mood == "up" and now_ns - relay.well_since_ns > OPENED_S * S and not station.is_frozen
-    is_lost = station.so_since("nothing is seen", is_sensor_lost(world, station) and is_well)
+    is_looked = is_well and not station.is_hanging  # else what the loop said last counts a while longer
+    is_lost = station.so_since("nothing is seen", is_sensor_lost(world, station) and is_looked)
     hangs_ns = station.so_since("it hangs", station.is_hanging and is_well, len(station.hung))
     if not relay.is_on[LAMP] or not is_well:
         return

@@ -97,7 +97,7 @@ FAMILIES = (
     Family({"select part": 30, "stop": 4}, {"trigger": "command", "is_slow": True}),
     Family({"hang": 20, "freeze": 6, "relay": 4}, {"has_robot": True, "until_next": True, "presses": 40}),
     Family({"lock database": 60}, {"presses": 40}),
-    Family({"exchange bundle": 30, "select part": 6, "reload": 4}, {"presses": 40}),
+    Family({"exchange bundle": 40, "select part": 2}, {"presses": 40}),
     Family({REFERENCE: 12, "replace gel": 6, "relearn": 3}, {"features": (REFERENCE,)}),
     Family({OVERVIEW: 12}, {"features": (OVERVIEW,), "presses": 40}),
     Family(

@@ -67,7 +67,10 @@ def hang_up(run: "Simulation", rng: random.Random) -> float:
     is_mostly_away = is_small(run.chosen.outbox_mb) or run.is_full_and_away
     mood = rng.choice(MOODS) if rng.random() < (0.25 if is_mostly_away else 0.75) else "away"
     mood = rng.choice(run.chosen.moods) if run.chosen.moods else mood
-    broker.chosen_kind = rng.choice(("result", "heatmap", "gel", "alarm", "info"))
+    kinds = (
+        ("result", "heatmap", "gel") if run.chosen.moods else ("result", "heatmap", "gel", "alarm", "info")
+    )
+    broker.chosen_kind = rng.choice(kinds)
     run.reach(f"a broker {mood}")
     broker.go("away" if mood == "restarts without memory" else mood)
     if mood == "restarts without memory":

@@ -39,6 +39,8 @@ class Shelf:
         """Requests to open what is there."""
         self.is_asked = False
         """Since the last exchange."""
+        self.breaks = 0
+        """Bundles that were exchanged by a wrong one; each kind has its turn."""
         self._revision = 0
 
     @property
@@ -58,7 +60,7 @@ class Shelf:
             return
         if kind != "removed":
             shutil.copytree(self._originals[1 - part if kind == "of another part" else part], path)
-        self.wrong[part] = kind
+        self.wrong[part], self.breaks = kind, self.breaks + 1
         head = path / "head.onnx"
         if kind == "cut":
             head.write_bytes(head.read_bytes()[:-100])
@@ -95,18 +97,25 @@ def exchange_bundle(run: "Simulation", rng: random.Random) -> float:
     shelf, station = run.world.shelf, run.station
     if shelf.wrong:
         return -1.0
-    kind, how = rng.choice((*["newer"] * 4, *BROKEN)), rng.choice((*["reload"] * 4, "restart", "later"))
+    kind, how = (
+        rng.choice(("newer", BROKEN[(run.run.seed + shelf.breaks) % len(BROKEN)])),
+        rng.choice((*["reload"] * 4, "restart", "later")),
+    )
+    lasts_s = rng.choice((2.0, 5.0, 15.0) if kind == "newer" else (14.0,))
     part = PARTS.index(run.world.parts.wanted) if rng.random() < 0.7 else rng.randrange(2)
     shelf.put(part, kind)
     run.reach_here(f"a bundle was {kind}")
 
     def mend() -> None:
-        if shelf.wrong:
+        if kind != "newer":
             shelf.put(part, "newer")
         station.ask("reload")
         shelf.note_asked()
 
-    run.for_a_while(f"bundle of {PARTS[part]} {kind}, {how}", rng.choice((2.0, 5.0, 15.0)), mend)
+    if kind == "newer" and how != "later":
+        run.note(f"bundle of {PARTS[part]} {kind}, {how}")
+    else:
+        run.for_a_while(f"bundle of {PARTS[part]} {kind}, {how}", lasts_s, mend)
     if how == "reload":
         station.ask("reload")
         shelf.note_asked()
