@@ -208,6 +208,24 @@ def test_frames_of_one_film_are_one_piece_and_are_held_out_in_stretches(tmp_path
     assert "are of 1 piece" in said[0]
 
 
+def rolled(number: int, x: float, y: float) -> U8:
+    """A view of a ball at this place."""
+    right, down = (COLUMNS - x) / 40, (ROWS - y) / 40
+    return small_view(gel(number, (80 * right * np.exp(-(right**2) - down**2))[..., None]))
+
+
+@pytest.mark.parametrize("step", [1, 2, 3, 4])
+def test_a_film_is_known_where_only_every_second_to_fourth_frame_is_there(step: int) -> None:
+    """The ball goes 40 pixels from frame to frame at most, a quarter of its way; one that is set down anywhere is no
+    film."""
+    names = [f"{k}.png" for k in range(20)]
+    ways = [(160 + 100 * np.sin(k * step / 8), 120 + 60 * np.sin(k * step / 13)) for k in range(20)]
+    anywhere = np.random.default_rng(step).uniform((60, 60), (260, 180), (20, 2)).tolist()
+    film, presses = ([rolled(k, *way) for k, way in enumerate(places)] for places in (ways, anywhere))
+    assert find_pieces(names, film, [None] * 20)[1] == ["0.png"] * 20
+    assert find_pieces(names, presses, [None] * 20)[1] == [None] * 20
+
+
 @pytest.mark.parametrize(
     "drift", [lambda rgb, k: rgb + k, lambda rgb, k: rgb * (1 + k / 100)], ids=["offset", "gain"]
 )
