@@ -246,13 +246,14 @@ def good(tmp_path: Path) -> Path:
 
 
 def test_the_free_gel_is_known_without_a_picture_of_it(good: Path, tmp_path: Path) -> None:
-    """Estimated from four presses of one place or of any; a picture of another light is replaced, and both are said.
-    An estimate may have part of what touches: by it methods learn every place."""
+    """Estimated from four presses of one place or of any; a picture of another light, or of a touch, is replaced, and
+    both are said. An estimate may have part of what touches: by it methods learn every place."""
     write(tmp_path / "other", "free.png", other_light(gel(9)))
     write(tmp_path / "own", "free.png", gel(9))
-    none, wrong, right = (
+    write(tmp_path / "touched", "free.png", gel(9, (120, 25)))
+    none, wrong, right, pressed = (
         read_presses([good], PROFILE, REGION, no_contact=[tmp_path / name for name in names])
-        for names in ([], ["other"], ["own"])
+        for names in ([], ["other"], ["own"], ["touched"])
     )
     assert (none.estimated != "", none.touched) == (True, None)
     assert [touch.x * 160 for touch in none.touches] == pytest.approx([50, 65, 80, 95], abs=2)
@@ -262,6 +263,7 @@ def test_the_free_gel_is_known_without_a_picture_of_it(good: Path, tmp_path: Pat
     assert "differs by" in wrong.faults[0]
     assert "take one under the light of the presses" in wrong.faults[0]
     assert right.facts == {}
+    assert "as a touch does: something touches the gel in it, or another light" in pressed.faults[0]
     few = read_presses([good / f"{k}.png" for k in range(3)], PROFILE, REGION)
     assert few.no_contact is None
 
@@ -383,7 +385,8 @@ def test_with_three_presses_a_foreign_picture_is_suspected(tmp_path: Path) -> No
         for name in ("free", "own")
     )
     assert "most likely of another light than the presses" in foreign.faults[0]
-    assert own.faults == ()
+    (unchecked,) = own.faults
+    assert "is of the light of the presses cannot be checked with 3 presses: look at it" in unchecked
 
 
 def test_a_recording_given_twice_has_the_pieces_that_it_has_once(recording: Path, tmp_path: Path) -> None:

@@ -185,9 +185,10 @@ class FreeGel:
         most = _FOREIGN_BY_FILLED if self.filled.any() else _FOREIGN_LEVELS
         if levels <= most and share <= _FOREIGN_SHARE:
             return ""
+        touch = "something touches the gel in it, or " if levels <= most else ""
         return (
-            f"differs by {levels:.1f} levels around the parts, over {share:.0%} as a touch does: another light, gel or "
-            "sensor"
+            f"differs by {levels:.1f} levels around the parts, over {share:.0%} as a touch does: {touch}another light, "
+            "gel or sensor"
         )
 
 

@@ -20,6 +20,7 @@ from edge.core.contact.settings import ContactSettings
 from edge.core.contact.wear import foreign_free_gel
 from edge.core.imaging.sensor_check import colour_cells, colour_distance
 from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.printable import write_count
 
 __all__ = ["MIN_PRESSES", "SCATTERED_MM", "away_mm", "choose_free_gel", "contact_finder", "spread_mm"]
 
@@ -69,7 +70,12 @@ def choose_free_gel(
     if recorded:
         return _of_recordings(gel, given, recorded)
     if gel is None:
-        return ChosenGel(list(given.values()), _suspect(given, pictures))
+        doubts = _suspect(given, pictures)
+        if given and pictures and not doubts:
+            light = "whether the picture of the free gel is of the light of the presses"
+            few = f"cannot be checked with {write_count(len(pictures), 'press')}"
+            doubts = [f"{light} {few}: look at it, or give at least {MIN_PRESSES}"]
+        return ChosenGel(list(given.values()), doubts)
     pressed = [name for name, picture in given.items() if gel.shows_part(picture)]
     chosen = _choose(gel, {name: given[name] for name in given if name not in pressed}, pictures, profile)
     return replace(chosen, faults=[*_name_pressed(pressed), *chosen.faults])
@@ -96,7 +102,7 @@ def _choose(
     if not why:
         return replace(kept, faults=_suspect(given, pictures) if gel.doubt else [])
     if _lie_apart(pictures, kept.pictures, gel, profile):
-        return _of_estimate(gel, f"{why}; take one under the light of the presses")
+        return _of_estimate(gel, f"{why}; take one under the light of the presses, with nothing on the gel")
     why += ", or a part that always lies at one place; kept: look whether it is of the light of the presses"
     return replace(kept, faults=[why])
 
