@@ -27,7 +27,7 @@ from calibration.fitting.fit import Fitted
 from calibration.fitting.limits.threshold import check_alpha, conformal_threshold, require_enough
 from calibration.fitting.presses.colours import colour_warnings, nominal_colours, refuses
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.fitting.self_check import apart_warnings, black_warnings
+from calibration.fitting.self_check import apart_warnings, black_warnings, unproven_first
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
 from edge.core.arrays import F64, U8
@@ -123,6 +123,7 @@ def finish_bundle(
     sentences = warnings(presses, (config.region.height, config.region.width), alpha)
     colours = nominal_colours(presses.frames)
     sentences += [*rate_warnings(presses.specimens, alpha), *colour_warnings(colours)]
+    sentences = unproven_first(sentences)
 
     def facts(threshold: ThresholdEntry, tolerance: ToleranceEntry, **more: Any) -> Facts:
         return Facts(

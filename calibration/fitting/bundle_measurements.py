@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import onnxruntime as ort
 
-from calibration.fitting.limits.threshold import count_needed, pieces_of
+from calibration.fitting.limits.threshold import FEWEST_PIECES, count_needed, pieces_of
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from calibration.fitting.presses.strangers import find_copies
 from edge.core.arrays import F64, U8
@@ -20,7 +20,7 @@ from edge.core.printable import write_count
 from edge.extras import find_version
 from edge.model.bundle import GoldenFrame
 from edge.model.manifest import CostCard, Provenance, ThresholdEntry, ToleranceEntry
-from edge.model.manifest_facts import GIVEN
+from edge.model.manifest_facts import GIVEN, UNPROVEN
 from edge.model.packing import pack
 from edge.model.scorer import Scorer, map_peaks
 from edge.pictures.nominal_pictures import NominalPictures
@@ -196,18 +196,14 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
 def rate_warnings(specimens: Sequence[str | None], alpha: float | None) -> list[str]:
     """Warn where pieces are too few for a rate. alpha: None where none is promised."""
     n, pieces = len(specimens), len(set(pieces_of(specimens)))
-    if alpha is None or (n > 1 and pieces >= count_needed(alpha)):
+    if alpha is None or pieces >= (fewest := max(count_needed(alpha), FEWEST_PIECES)):
         return []
-    if n == 1:
-        return [
-            f"1 press promises no false-alarm rate; {count_needed(alpha)} presses are needed for {alpha:g}"
-        ]
     counted = write_count(n, "press") + ("" if pieces == n else f" of {write_count(pieces, 'piece')}")
-    what = "presses" if pieces == n else "pieces"
-    return [
-        f"{counted} promise a false-alarm rate of 1/{pieces + 1} at best; {count_needed(alpha)} {what} are "
-        f"needed for {alpha:g}"
-    ]
+    needed = f"{fewest} {'presses' if pieces == n else 'pieces'} are needed for {alpha:g}"
+    if pieces < FEWEST_PIECES:
+        of_others = "no false-alarm rate of other pieces, whose sound presses may all fail"
+        return [f"{UNPROVEN}{counted} promise{'s' if n == 1 else ''} {of_others}; {needed}"]
+    return [f"{counted} promise a false-alarm rate of 1/{pieces + 1} at best; {needed}"]
 
 
 def picture_presses(presses: NominalPresses, detector: Detector) -> NominalPictures:

@@ -18,7 +18,7 @@ from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.colours import colour_warnings, nominal_colours, refuses
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.preparation import smooth_presses, take_out_dots
-from calibration.fitting.self_check import apart_warnings, black_warnings, list_apart
+from calibration.fitting.self_check import apart_warnings, black_warnings, list_apart, unproven_first
 from edge.core.arrays import F64
 from edge.core.contact.wear import wear
 from edge.core.errors import FitError, PoseNotFound
@@ -125,7 +125,7 @@ def _warn(facts: Facts, said: Sequence[str]) -> Facts:
         warning if warning.startswith((UNPROVEN, _BEFORE)) else f"{_BEFORE}{warning}"
         for warning in whole.warnings
     ]
-    proven = whole.model_copy(update={"warnings": (*before, *said)})
+    proven = whole.model_copy(update={"warnings": tuple(unproven_first([*before, *said]))})
     return facts.model_copy(update={"provenance": proven})
 
 

@@ -308,7 +308,9 @@ def _learn_bank(features: _Features, watch: StageTimes) -> _Learnt:
     ]
     decided = {"limit": choice.facts(), MISSING: relief.facts(), **features.pose.facts}
     decided |= {**features.augmentation.facts, **again, **plan.presses.facts}
-    return _Learnt(features, part, bank, head, choice, scores, decided, apart, sentences)
+    return _Learnt(
+        features, part, bank, head, choice, scores, decided, apart, self_check.unproven_first(sentences)
+    )
 
 
 def _measure(learnt: _Learnt, created: str, watch: StageTimes) -> Fitted:

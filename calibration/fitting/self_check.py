@@ -29,6 +29,7 @@ __all__ = [
     "room_warnings",
     "scatter_warnings",
     "standing_apart",
+    "unproven_first",
     "unproven_warnings",
 ]
 
@@ -92,6 +93,11 @@ def unproven_warnings(
     if not unrendered:
         todo = [*(find_remedies() or ["nothing that was tried on its own presses finds more"]), *todo]
     return [f"{UNPROVEN}{'; '.join([sentence, *todo])}" for sentence in sentences]
+
+
+def unproven_first(sentences: Sequence[str]) -> list[str]:
+    """Put first what the bundle's own evidence does not show, else in the order given."""
+    return sorted(sentences, key=lambda sentence: not sentence.startswith(UNPROVEN))
 
 
 def damage_facts(found: DamageFound | None, find_remedies: Callable[[], Sequence[str]]) -> dict[str, str]:

@@ -175,9 +175,10 @@ class Remedy:
     def describe(self) -> str:
         """Give what it finds, and what that costs, in one line."""
         limit = self.fitted.manifest.threshold
+        whose = "sound ones of these pieces" if limit.alpha_floor == 1 else "sound ones"
         return (
             f"{self.name}: {self.what}; finds {sum(self.is_found)} of {len(self.scores)}; by banks without them "
-            f"{self.alarms} of {limit.n} nominal presses fail, {self.rate:.1%} of sound ones are to be expected"
+            f"{self.alarms} of {limit.n} nominal presses fail, {self.rate:.1%} of {whose} are to be expected"
         )
 
 

@@ -142,8 +142,8 @@ class ThresholdEntry(Entry):
     one. rate_range: the range of this bundle's own rate, with a probability of 95 %. nominal_scores: rising;
     of each press the higher of two, by a bank without it and by the final bank. by_press, by_piece: the limit of this
     bundle's own rate, where a piece alarms with any of its presses; by_piece is None where each press counts as a
-    piece, and where no piece was held out: then alpha_floor is 1, for nothing is promised of new pieces. method: how
-    the value was found, in words; `edge.model.manifest_facts` states the guarantee.
+    piece, and where fewer than four were held out: then alpha_floor is 1, for nothing is promised of new pieces.
+    method: how the value was found, in words; `edge.model.manifest_facts` states the guarantee.
     """
 
     value: float

@@ -161,7 +161,7 @@ def promise(limit: ThresholdEntry) -> str:
 
 
 def _of_known_pieces(limit: ThresholdEntry, press: RatePromise) -> str:
-    """No piece was held out, so the limit knows nothing of others."""
+    """No piece was held out, or too few to know how others differ."""
     these = "this piece" if limit.pieces == 1 else "these pieces"
     return (
         f"{write_count(limit.n, 'press')} of {write_count(limit.pieces or 0, 'piece')}: at most "

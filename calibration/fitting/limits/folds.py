@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from calibration.fitting.limits.threshold import pieces_of
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES
+from edge.model.manifest_facts import UNPROVEN
 
 __all__ = ["Folds", "divide_presses", "folds"]
 
@@ -46,8 +47,8 @@ def divide_presses(
         else f"{pieces} pieces, and without those of one fewer than {fewest - 1} are left"
     )
     warning = (
-        f"the {n} presses are of {of}: the limit is for presses of {'this' if pieces == 1 else 'these'} alone, and "
-        f"sound presses of any other may fail; press more pieces, {fewest - 1} times each at least"
+        f"{UNPROVEN}the {n} presses are of {of}: the limit is for presses of {'this' if pieces == 1 else 'these'} "
+        f"alone, and sound presses of any other may fail; press more pieces, {fewest - 1} times each at least"
     )
     if film:
         return [np.sort(stretch) for stretch in np.array_split(film, _STRETCHES)], [warning]

@@ -34,6 +34,7 @@ from edge.core.printable import write_count
 from edge.model.manifest import RatePromise, ThresholdEntry
 
 __all__ = [
+    "FEWEST_PIECES",
     "FLOOR_MARGIN",
     "check_alpha",
     "conformal_threshold",
@@ -52,6 +53,10 @@ FLOOR_MARGIN = 0.25
 """Where n pieces cannot promise the requested rate, the largest score is raised by this share of the distance from
 the median to it, or by less where the rate is near. A choice, not a theorem: it trades some sensitivity for fewer false
 alarms."""
+
+FEWEST_PIECES = 4
+"""Of fewer pieces nothing is promised of others: three do not show how far pieces differ. Of a real ball 12 of 15
+further presses failed after a fit of three."""
 
 COPIES_MARGIN = 1.3
 """Other pieces score higher than copies of one: docs/detectors.md has the false alarms with this factor."""
@@ -76,7 +81,7 @@ def conformal_threshold(
     scores: anomaly scores of nominal presses by banks without them. slack: smallest margin above the largest score
     where the floor holds; the numerical tolerance. kind: how the scores were made, for the record.
     specimens: the piece of each press, None where unknown: such a press counts as its own piece.
-    fewest: presses that a threshold needs. Of several presses of one piece nothing is promised of other pieces.
+    fewest: presses that a threshold needs. Of few pieces nothing is promised of others.
     Errors: FitError for fewer scores.
     """
     check_alpha(alpha)
@@ -106,7 +111,7 @@ def conformal_threshold(
         by_press=_promise(len(high), len(score_array)),
         by_piece=_promise(len({keys[k] for k in high}), pieces) if pieces < len(score_array) else None,
     )
-    return promise_known_pieces(threshold) if pieces == 1 else threshold
+    return promise_known_pieces(threshold) if pieces < FEWEST_PIECES else threshold
 
 
 def _promise(alarms: int, trials: int) -> RatePromise:

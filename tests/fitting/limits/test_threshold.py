@@ -63,11 +63,20 @@ def test_what_gives_no_threshold_is_refused(scores: list[float], alpha: float, s
 
 
 def test_presses_count_as_pieces() -> None:
-    """24 presses of 2 pieces promise 1/3 for a third piece, not 1/25."""
-    limit = conformal_threshold(np.arange(24.0), 0.05, specimens=["a"] * 12 + ["b"] * 12)
-    assert (limit.pieces, limit.n) == (2, 24)
-    assert limit.alpha_floor == pytest.approx(1 / 3)
+    """24 presses of 4 pieces promise 1/5 for a fifth piece, not 1/25."""
+    limit = conformal_threshold(np.arange(24.0), 0.05, specimens=list("abcd" * 6))
+    assert (limit.pieces, limit.n) == (4, 24)
+    assert limit.alpha_floor == pytest.approx(1 / 5)
     assert limit.is_floored
+    assert limit.value > 23
+
+
+@pytest.mark.parametrize("pieces", ["ab", "abc"])
+def test_of_fewer_than_four_pieces_nothing_is_promised_of_others(pieces: str) -> None:
+    """Only how often presses of these pieces lie above the limit."""
+    limit = conformal_threshold(np.arange(24.0), 0.05, specimens=list(pieces * (24 // len(pieces))))
+    assert (limit.alpha_floor, limit.rate_range, limit.by_piece) == (1, None, None)
+    assert limit.by_press is not None
     assert limit.value > 23
 
 
