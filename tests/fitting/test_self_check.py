@@ -88,7 +88,8 @@ def evidence(spots: dict[int, float]) -> Evidence:
     ("separated", "found", "said"),
     [
         (None, None, []),
-        (0.84, DamageFound(11, 48), []),
+        (0.84, DamageFound(15, 48), []),
+        (0.84, DamageFound(11, 48), ["finds 11 of 48 small pieces of damage"]),
         (0.51, DamageFound(20, 48), ["0.51 is separated from sound presses, as by chance"]),
         (
             None,
@@ -111,7 +112,7 @@ def test_empty_evidence_is_said(separated: float | None, found: DamageFound | No
 
 def test_what_is_found_is_said_by_size_and_where_it_is_little_what_finds_more() -> None:
     """Nothing is looked for where half is found, nor where so little is that the bundle is not proven."""
-    for found, more in ((24, False), (23, True), (8, True), (7, False)):
+    for found, more in ((24, False), (23, True), (15, True), (14, False)):
         said = damage_facts(DamageFound(found, 48, sizes="dent of 0.1 mm 5 of 6"), lambda: ["press more"])
         assert said == {"damage_found": "found by size: dent of 0.1 mm 5 of 6" + "; press more" * more}
     assert damage_facts(None, lambda: ["press more"]) == {}
