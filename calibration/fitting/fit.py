@@ -220,7 +220,11 @@ def _take_features(plan: _Plan, progress: Progress) -> _Features:
     augmentation = plan.augment(pose.learnt is not None)
     copies = Copies.of(posed, augmentation.each, config.profile.pixels_per_mm, config.seed, take)
     nominal = reader.nominal(posed, progress)
-    sentences += [*pose.find_warnings(presses.names), *plan.warnings, *feature_warnings(nominal, reader.grid)]
+    sentences += [
+        *plan.warnings,
+        *pose.find_warnings(presses.names, presses.faults),
+        *feature_warnings(nominal, reader.grid),
+    ]
     learner = replace(learner, copies=copies)
     return _Features(plan, take, learner, pose, posed, nominal, augmentation, sentences)
 

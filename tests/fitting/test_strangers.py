@@ -131,6 +131,15 @@ def test_bad_input_is_named(
     assert any(said in fault for fault in faults), faults
 
 
+def test_presses_of_another_gel_are_said_to_have_its_dots_first_and_not_to_be_blurred(tmp_path: Path) -> None:
+    """They are of another unit too, whose picture is less noisy: their sharpness is no news."""
+    faults = read(tmp_path, press, lambda k: dotted(blurred(k)[::-1, ::-1], DOTS), gel(99))
+    assert [fault.partition(TWO)[0] for fault in faults] == [
+        "the dots of a marker gel in ",
+        "between the parts ",
+    ]
+
+
 def test_presses_out_of_focus_are_named_beside_eight_sharp_ones(tmp_path: Path) -> None:
     (said,) = read(tmp_path, press, unfocused, gel(99), count=8)
     assert "2 of 10 presses ('good/a.png', 'good/b.png') are less sharp than the others" in said

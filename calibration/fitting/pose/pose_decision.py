@@ -98,15 +98,19 @@ class PoseChoice:
         """The sentence for the manifest."""
         return {"registration": self.why} if self.why else {}
 
-    def find_warnings(self, names: Sequence[str]) -> list[str]:
-        """Name presses of another part, and those not recognised, and say that turns that are compared may be wrong."""
+    def find_warnings(self, names: Sequence[str], faults: Sequence[str] = ()) -> list[str]:
+        """Name presses of another part, and those not recognised, and say that turns that are compared may be wrong.
+
+        faults: what is said of these presses before, which may be the reason.
+        """
         sentences = [*self.faults]
         if self.learnt is None:
             return sentences
         if lost := [names[k] for k in self.learnt.unrecognised]:
+            first = "mend first what is said before of presses; else " if faults else ""
             sentences.append(
-                f"the part is not recognised in {list_names(lost, len(names))}: a gateway rejects such presses; press "
-                f"nearer to the middle, and leave these out (--leave-out '{lost[0]}')"
+                f"the part is not recognised in {list_names(lost, len(names))}: a gateway rejects such presses; "
+                f"{first}press nearer to the middle, and leave these out (--leave-out '{lost[0]}')"
             )
         nearly = self.learnt.part.nearly
         if nearly == 1:

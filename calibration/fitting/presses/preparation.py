@@ -57,7 +57,7 @@ def take_out_dots(presses: NominalPresses, pixels_per_mm: float) -> NominalPress
     dots = _find(presses, pixels_per_mm)
     mixed = _find_mixed(presses, pixels_per_mm, dots is not None)
     if mixed:
-        presses = replace(presses, faults=(*presses.faults, *mixed))
+        presses = replace(presses, faults=(*mixed, *presses.faults))
     return presses if dots is None else fill_dots(presses, dots.learn(list(presses.frames)))
 
 

@@ -61,27 +61,28 @@ def small_view(picture: U8) -> U8:
 def find_odd(
     names: Sequence[str], frames: Sequence[U8], views: Sequence[U8], masks: Sequence[Mask | None]
 ) -> list[str]:
-    """Name the presses that do not belong to the others, touch nothing, are too bright, or blurred.
+    """Name the presses that do not belong to the others, touch nothing, are too bright, or of the others blurred.
 
     frames: uint8 (h, w, 3) each. views: uint8 (120, 160, 3) each. masks: where each touches in the view; None where it
     is not known.
     """
+    strangers, belong = _find_strangers(names, views)
     return [
-        *_find_strangers(names, views),
+        *strangers,
         *_find_empty(names, masks),
         *find_misexposed(names, views),
-        *find_blurred(names, frames, views),
+        *find_blurred([names[k] for k in belong], [frames[k] for k in belong], [views[k] for k in belong]),
     ]
 
 
-def _find_strangers(names: Sequence[str], views: Sequence[U8]) -> list[str]:
-    """Name the presses of another light than most others. views: uint8 (120, 160, 3) each.
+def _find_strangers(names: Sequence[str], views: Sequence[U8]) -> tuple[list[str], list[int]]:
+    """Name the presses of another light than most others; return the rows of these. views: uint8 (120, 160, 3) each.
 
     Presses belong together that are near one another, or near a third one, in the median over the view: between the
     parts, so that no light has to be known. None are named of two presses, which do not tell who is the stranger.
     """
     if len(views) < _FEWEST:
-        return []
+        return [], list(range(len(views)))
     rows = np.unique(np.linspace(0, len(views) - 1, _WITNESSES).round().astype(int))
     levels = np.stack([_levels(views[k], views) for k in rows], axis=1)
     levels[rows, np.arange(len(rows))] = np.inf
@@ -93,13 +94,13 @@ def _find_strangers(names: Sequence[str], views: Sequence[U8]) -> list[str]:
         belongs = belongs | more
     strange = np.flatnonzero(~belongs)
     if not len(strange):
-        return []
+        return [], list(range(len(views)))
     away = levels[strange][:, belongs[rows]].min()
     return [
         f"between the parts {list_names([names[k] for k in strange.tolist()], len(names))} differ from the others, by "
         f"{away:.0f} levels or more: turned or mirrored, or of another light, gel or sensor; look at them, and leave "
         f"them out (--leave-out '{names[int(strange[0])]}')"
-    ]
+    ], np.flatnonzero(belongs).tolist()
 
 
 def _find_empty(names: Sequence[str], masks: Sequence[Mask | None]) -> list[str]:

@@ -450,8 +450,14 @@ def test_presses_of_a_nearly_symmetric_part_are_turned_alike() -> None:
 def test_a_press_in_which_the_part_is_not_recognised_is_named() -> None:
     """A gateway rejects it, and so the next one like it."""
     frames = np.concatenate([parts.anywhere(parts.BLOCK, 8)[1], parts.free_gel()[None]])
-    said, *_ = PoseChoice(learn_pose(frames, parts.free_gel())).find_warnings([*"abcdefgh", "empty"])
-    assert "the part is not recognised in 1 of 9 presses ('empty'): a gateway rejects such presses" in said
+    choice = PoseChoice(learn_pose(frames, parts.free_gel()))
+    said, *_ = choice.find_warnings([*"abcdefgh", "empty"])
+    after, *_ = choice.find_warnings([*"abcdefgh", "empty"], ["the dots of a marker gel in 1 of 9 presses"])
+    assert (
+        "the part is not recognised in 1 of 9 presses ('empty'): a gateway rejects such presses; press"
+        in said
+    )
+    assert "a gateway rejects such presses; mend first what is said before of presses; else press" in after
 
 
 def test_one_damage_of_a_symmetric_part_fails_at_each_of_its_turns() -> None:
