@@ -321,7 +321,7 @@ def main() -> None:
         action="store_true",
         help="also fit without each mechanism that is used, and with each alone",
     )
-    given = parser.parse_args()
+    given = parser.parse_intermixed_args()  # kinds may follow options
     rows, how = Rows(given.rows), {"asked": [given.method, given.backbone], "gel": given.gel}
     for kind, make in (JUDGEMENT if given.judgement else DEVELOPMENT).items():
         if not any(word in kind for word in given.kinds or [""]):

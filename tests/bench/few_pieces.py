@@ -60,7 +60,7 @@ def main() -> None:
     words.add_argument("rows", type=Path, help="the file of rows, made or continued")
     words.add_argument("parts", nargs="*", type=int, default=range(10))
     words.add_argument("--method", default=DEFAULT_METHOD)
-    given = words.parse_args()
+    given = words.parse_intermixed_args()  # parts may follow options
     rows = Rows(given.rows)
     for part in given.parts:
         for learnt in LEARNT:
