@@ -257,7 +257,8 @@ def find_pieces(
     first = names[film[0]]
     sentence = (
         f"the presses look like frames of one film: from '{first}' on each resembles the one before it. They count as "
-        "one piece, and nothing is promised of other presses; lift the part between presses, and press anew"
+        "one piece, and nothing is promised of other presses; lift the part between presses, and press anew; where "
+        "each of several pieces was pressed several times, name piece and press (bolt_head_s001_p01.png)"
     )
     return [*same, sentence], [first] * len(names), film
 
