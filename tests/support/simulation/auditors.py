@@ -31,7 +31,7 @@ from simulation.auditors_outbox import (
     audit_kept,
     audit_memory,
 )
-from simulation.auditors_outputs import audit_lamp, audit_outputs
+from simulation.auditors_outputs import audit_lamp, audit_outputs, audit_pulses
 from simulation.auditors_pieces import audit_piece_lamp, audit_pieces
 from simulation.auditors_plc import audit_answers, audit_plcs, may_be_other_part
 from simulation.auditors_retained import audit_late, audit_outbox, audit_retained, audit_serials
@@ -132,6 +132,7 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from _audit_presses(world, station, found)
     yield from _audit_judged(station)
     yield from audit_outputs(world, station)
+    yield from audit_pulses(world, station)
     yield from audit_lifts(world, station)
     yield from audit_overloads(world, station)
     yield from audit_answers(world, station, found)

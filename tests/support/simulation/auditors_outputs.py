@@ -1,10 +1,11 @@
 """What holds of the outputs (docs/operations.md): what is shown, and which pulse is given."""
 
+from bisect import bisect_right
 from collections.abc import Iterator
 
 from simulation.alarms import is_sensor_lost
 from simulation.lives import Station
-from simulation.outputs import DEADLINE_S, GATE, LAMP, LIFT, REJECT
+from simulation.outputs import DEADLINE_S, GATE, LAMP, LIFT, PULSE_S, REJECT
 from simulation.sensor import S
 from simulation.surroundings import World
 
@@ -88,6 +89,32 @@ def audit_outputs(world: World, station: Station) -> Iterator[str]:
                 yield f"the pulse on channel {one.channel} {when} was given after its deadline"
         elif not is_unrecorded:
             yield f"the pulse on channel {one.channel} {when} belongs to no press"
+
+
+def audit_pulses(world: World, station: Station) -> Iterator[str]:
+    """Each press that asks for a pulse gets it in time, or the alarm `pulse` counts one more (docs/operations.md).
+
+    The owner of the relay does one of the two with its next turn after the deadline, and after the press is recorded; a
+    process that has ended before does not. Each count of the alarm stands for one press.
+    """
+    turns_ns, late_ns, told = station.switch_turns_ns, list(station.late_ns), world.relay.told
+    for one in (one for one in station.seen if one.shown):
+        channel = GATE if one.shown == "pass" else REJECT
+        due_ns = max(one.noted_ns, one.came_ns + round(DEADLINE_S * S))
+        done_ns = next(iter(turns_ns[bisect_right(turns_ns, due_ns) :][:2][1:]), None)
+        if done_ns is None or any(one.judged_ns <= ended_ns <= done_ns for ended_ns in station.ended_ns):
+            continue
+        since_ns = one.judged_ns - round(PULSE_S * S)  # one that was on already is made longer
+        if any(pulse.channel == channel and since_ns <= pulse.told_ns <= due_ns for pulse in told):
+            continue
+        late = next((when_ns for when_ns in late_ns if one.judged_ns <= when_ns <= done_ns), None)
+        if late is None:
+            yield (
+                f"press {one.press_id} was {one.shown} at {one.judged_ns / S:.3f} s, and neither its pulse on channel "
+                f"{channel} was given nor the alarm pulse counts one more"
+            )
+        else:
+            late_ns.remove(late)
 
 
 def _audit_hung(world: World, station: Station) -> Iterator[str]:

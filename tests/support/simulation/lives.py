@@ -144,6 +144,12 @@ class Station:
         """The word and the press of each place of a piece, as the database that is there knows it."""
         self.archive_ns = 0
         """When objects of the archive came or went last, as last looked at."""
+        self.late_ns: list[int] = []
+        """When the alarm `pulse` counted a pulse more that was not given."""
+        self.switch_turns_ns: list[int] = []
+        """When the owner of the relay had taken a turn."""
+        self._said_late: tuple[str, str] | None = None
+        """The alarm `pulse` as last looked at."""
         self.has_lost_pieces = False
         """A database was removed, so an id may be used again."""
         self._asked = 0
@@ -241,6 +247,15 @@ class Station:
         if not is_so or self._since.get(name, (of,))[0] != of:
             self._since.pop(name, None)
         return self._since.setdefault(name, (of, self.world.clock.now_ns))[1] if is_so else None
+
+    def watch_late(self) -> None:
+        """Note the pulses that the alarm `pulse` counts since the last look, which is after each turn of an actor."""
+        before, said = self._said_late, self.loop.parts.status._raised.get("pulse")
+        if said is not None and said is not before:
+            count, counted = int(said[0].split()[0]), int(before[0].split()[0]) if before else 0
+            more = count - counted if count > counted else count  # a person has acknowledged it meanwhile
+            self.late_ns += [self.world.clock.now_ns] * more
+        self._said_late = said
 
     def stop(self) -> None:
         """End in order, as at SIGTERM."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 S = 10**9
 LAMP, REJECT, GATE, LIFT, FREE, OVERLOAD = 1, 2, 3, 4, 5, 6
-DEADLINE_S = 0.5
+DEADLINE_S, PULSE_S = 0.5, 0.2
 """Of both pulses: a part that fails is thrown out, one that passes is let through."""
 
 TABLES = f"""
@@ -23,8 +23,8 @@ TABLES = f"""
 plugin = "simulated"
 outputs = [
   {{ channel = {LAMP}, when = ["pass"] }},
-  {{ channel = {REJECT}, when = ["fail", "unsure", "rejected", "error"], pulse_ms = 200, deadline_ms = {1000 * DEADLINE_S} }},
-  {{ channel = {GATE}, when = ["pass"], pulse_ms = 200, deadline_ms = {1000 * DEADLINE_S} }},
+  {{ channel = {REJECT}, when = ["fail", "unsure", "rejected", "error"], pulse_ms = {1000 * PULSE_S}, deadline_ms = {1000 * DEADLINE_S} }},
+  {{ channel = {GATE}, when = ["pass"], pulse_ms = {1000 * PULSE_S}, deadline_ms = {1000 * DEADLINE_S} }},
   {{ channel = {LIFT}, when = ["lift"] }},
   {{ channel = {FREE}, when = ["free"] }},
   {{ channel = {OVERLOAD}, when = ["overload"] }},
@@ -58,6 +58,8 @@ class Relay:
         self.well_since_ns = 0
         self.is_on = dict.fromkeys((LAMP, REJECT, GATE, LIFT, FREE, OVERLOAD), False)
         self.switched: list[Switching] = []
+        self.told: list[Switching] = []
+        """And those that it was told to switch on, also where they were on."""
 
     def mend(self) -> None:
         """It is plugged in, and switches at once. Some boards begin as they were, others anyhow."""
@@ -74,6 +76,8 @@ class Relay:
             raise DeviceStalled("the relay does not switch")
         if self.mood == "slow":
             self._clock.now_ns += S // 10
+        if is_on:
+            self.told.append(Switching(channel, told_ns))
         if is_on and not self.is_on[channel]:
             self.switched.append(Switching(channel, told_ns))
         self.is_on[channel] = is_on

@@ -184,4 +184,12 @@ BY_OTHERS = (
         "\n\ndef _find_known",
         "has no link",
     ),
+    # operations.md: 'A pulse starts within deadline_ms of the judged frame; or not at all: alarm `pulse`'.
+    Bug(
+        "no damaged part is thrown out",
+        "edge/features/outputs/stage.py",
+        "        if press.shown is not None:\n            for driver",
+        '        if press.shown == "pass":\n            for driver',
+        "its pulse on channel 2",
+    ),
 )

@@ -202,6 +202,7 @@ class Simulation:
         self.run.turns += 1
         self.station.disk.attach()
         pause_s = actor.act()
+        self.station.watch_late()
         actor.due_ns = clock.now_ns + round(pause_s * S)
         if self.station.disk.is_dead:
             self._rise()

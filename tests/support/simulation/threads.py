@@ -193,7 +193,9 @@ class Threads:
 
     def _switch(self) -> float:
         (driver,) = self._run.station.outputs.drivers
-        return driver.step() + self._lag(0)
+        pause_s = driver.step()
+        self._run.station.switch_turns_ns.append(self._run.world.clock.now_ns)
+        return pause_s + self._lag(0)
 
     def _tread(self) -> float:
         (reader,) = self._run.station.outputs.readers
