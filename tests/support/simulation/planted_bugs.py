@@ -446,4 +446,11 @@ BUGS = (
         '    if site not in ("same-origin", "none"):\n',
         "a request of another page is answered by 200",
     ),
+    Bug(
+        "level fallback on silence",
+        "edge/messaging/mqtt_connection.py",
+        '                cls(broker, "3.1.1", None, None, lambda: None).close()\n',
+        '                return make(broker, "3.1.1")\n',
+        "speaks 5, and was connected to at 3.1.1",
+    ),
 )
