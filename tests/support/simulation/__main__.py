@@ -42,7 +42,7 @@ TABLE = {
 class Total:
     """What several runs did together."""
 
-    runs: int = 0
+    seeds: list[int] = field(default_factory=list)
     turns: int = 0
     events: int = 0
     reached: Counter[str] = field(default_factory=Counter)
@@ -53,11 +53,8 @@ class Total:
 
     def add(self, run: Run, path: Path | None) -> None:
         """Add one run, and its file where it has failed."""
-        self.runs, self.turns, self.events = (
-            self.runs + 1,
-            self.turns + run.turns,
-            self.events + len(run.events),
-        )
+        self.seeds.append(run.seed)
+        self.turns, self.events = self.turns + run.turns, self.events + len(run.events)
         self.reached += run.reached
         self.counted += run.counted
         if path is not None:
@@ -68,7 +65,7 @@ class Total:
         """Return one line: how much, how fast, and how far."""
         reached = sum(self.reached[name] > 0 for name in SOMETIMES)
         return (
-            f"{self.runs} runs in {seconds:.0f} s: {self.counted['presses'] / seconds:.1f} presses, "
+            f"{len(self.seeds)} runs in {seconds:.0f} s: {self.counted['presses'] / seconds:.1f} presses, "
             f"{self.turns / seconds:.0f} turns and "
             f"{self.events / seconds:.0f} events a second; {reached} of {len(SOMETIMES)} conditions reached; "
             f"{len(self.failed)} runs failed"
@@ -80,13 +77,15 @@ class Total:
         yield from (f"   NEVER {name}" for name in SOMETIMES if not self.reached[name])
         for name, keys in TABLE.items():
             yield f"{sum(self.counted[key] for key in keys):10d} {name}"
-        said = " ".join(fault for run in self.failed for fault in run.faults)
         for what, words in {
             "lost": ("lost", "lack"),
             "doubled": (" rows", "of no row", "done 2"),
             "passed unjudged": ("passed", "shown"),
         }.items():
-            yield f"{sum(word in said for word in words):10d} {what}"
+            told = [any(word in fault for fault in run.faults for word in words) for run in self.failed]
+            yield f"{sum(told):10d} runs whose faults say: {what}"
+        if self.seeds:
+            yield f"seeds {min(self.seeds)} to {max(self.seeds)}"
         yield self.summary(seconds)
         yield from (f"kept in {path}" for path in self.kept)
 
