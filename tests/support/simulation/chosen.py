@@ -104,7 +104,7 @@ FAMILIES = (
         {"hang up": 15, "stop": 8},
         {"outbox_mb": PICTURES_MB, "presses": 30, "brokers": 1, "moods": ("away",)},
     ),
-    Family({"silence": 10, "unplug": 5, "stop": 6}, {"has_page": True}),
+    Family({"silence": 10, "unplug": 5, "stop": 6, "request": 40}, {"has_page": True}),
     Family(
         {"say": 20, SNAPSHOT: 20, "adopt": 6, "lose power": 2},
         {"has_shadow": True, "features": (SNAPSHOT,)},
