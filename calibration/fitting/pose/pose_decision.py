@@ -30,6 +30,7 @@ from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.registration.colours import FreeLight
 from edge.core.registration.pose import Registered, warp
 from edge.core.registration.registrar import PartInPose, Registrar, find_relief
+from edge.model.manifest_facts import UNPROVEN
 from edge.model.tile_runner import most_typical
 
 __all__ = ["PoseChoice", "Register", "choose_pose"]
@@ -49,6 +50,10 @@ LEAST_PRESSES = 6
 """With fewer presses nothing can be held out to prove that registration pays."""
 
 _HELD_OUT = 3
+
+_ENOUGH_TO_TURN = 24
+"""So many presses turned a connector with three pins right in each of ten draws, 12 in seven of ten. Of a part whose
+tilt hides what breaks its symmetry, 40 told no more than 20."""
 
 _NEARLY = 0.05
 """By so much two figures of a proof differ by chance, of some 14 sound presses. Then presses whose places are compared
@@ -112,14 +117,26 @@ class PoseChoice:
                 f"the part is not recognised in {list_names(lost, len(names))}: a gateway rejects such presses; "
                 f"{first}press nearer to the middle, and leave these out (--leave-out '{lost[0]}')"
             )
-        nearly = self.learnt.part.nearly
-        if nearly == 1:
+        part, count = self.learnt.part, len(names)
+        if part.is_held:
             return sentences
-        steps = f"by {360 / nearly:.0f} degrees" if nearly else "by other angles"
+        if part.nearly == part.symmetry > 1:
+            more = f", or press at least {_ENOUGH_TO_TURN}" * (count < _ENOUGH_TO_TURN)
+            return [
+                f"{UNPROVEN}the part nearly looks the same {part.nearly} times in a full turn, and none of {count} "
+                "presses tells at which of these turns it lies: damage that differs less than they do passes; hold the "
+                f"part at one turn{more}, and fit again",
+                *sentences,
+            ]
+        unsure = [names[k] for k in self.learnt.unsure]
+        if part.nearly and not unsure:
+            return sentences
+        some = f"{list_names(unsure, count)} agree" if unsure else "some agree"
+        steps = f"by {360 / part.nearly:.0f} degrees" if part.nearly > 1 else "by other angles"
         return [
             *sentences,
-            f"the turn of presses is not sure: some agree nearly as well turned {steps}; where one is turned wrong, "
-            "what breaks the symmetry scores high or hides damage; press more, or hold the part at one turn",
+            f"the turn of presses is not sure: {some} nearly as well turned {steps}; where one is turned wrong, "
+            "what breaks the symmetry scores high or hides damage; hold the part at one turn",
         ]
 
     def apply(self, presses: NominalPresses) -> NominalPresses:
@@ -207,7 +224,7 @@ def choose_pose(
     spread = pose_spread_mm(learnt, view[0].pixels_per_mm)
     faults = tuple(find_two_parts(learnt, presses.names))
     lie = f"in the median presses lie {spread:.2f} mm from their common pose"
-    apart = f"{lie}{_doubt(learnt.part.symmetry)}"
+    apart = f"{lie}{_doubt(learnt.part)}"
     if register == "always":
         return PoseChoice(learnt, f"presses are registered, as asked for; {apart}", faults=faults)
     has_copies = len(presses) <= FEW  # they are moved, so the bank knows what lies further away
@@ -250,16 +267,17 @@ def _words(separated: float) -> str:
     return f"of rendered damage {separated:.3f} is separated from sound presses with it"
 
 
-def _doubt(symmetry: int) -> str:
+def _doubt(part: PartInPose) -> str:
     """Say that a part which repeats itself has no turn of its own; empty for other parts."""
-    if symmetry == 1:
+    if part.symmetry == 1:
         return ""
-    if not symmetry:
+    if not part.is_turning:
         return ", a round part without a turn"
+    looks = "nearly looks" if part.nearly == part.symmetry else "looks"
     return (
-        f"; the part looks the same {symmetry} times in a full turn: it is compared as if turned by the least of "
-        f"these, and what breaks the symmetry in sound parts hides damage there; where it does not look so, press "
-        "more, or hold it at one turn"
+        f"; the part {looks} the same {part.symmetry} times in a full turn: it is compared as if turned by the least "
+        "of these, and what breaks the symmetry in sound parts hides damage there; where it does not look so, hold it "
+        "at one turn"
     )
 
 

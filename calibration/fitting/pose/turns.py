@@ -18,15 +18,24 @@ from edge.core.arrays import F32, F64, Mask
 from edge.core.registration.pose import Pose, turn_slopes
 from edge.core.registration.registrar import field_depth, shrunk
 
-__all__ = ["MOST_SYMMETRY", "SAME_TURN_RAD", "agree_on_turns", "find_symmetry", "same_share"]
+__all__ = [
+    "MOST_SYMMETRY",
+    "SAME_SHARE",
+    "SAME_TURN_RAD",
+    "agree_on_turns",
+    "find_apart",
+    "find_asymmetry",
+    "find_symmetry",
+    "same_share",
+]
 
 SAME_TURN_RAD = math.radians(5)
 """A turn is the same within this angle."""
 MOST_SYMMETRY = 12
 """A part repeats itself at most so often in a turn; more teeth than that are as good as round."""
 
-# A part's turns are the same if this share of its presses keeps them.
-_SAME_SHARE = 0.9
+SAME_SHARE = 0.9
+"""A part's turns are the same if this share of its presses keeps them."""
 
 # The presses as they lie are the first start, chance makes the others: of those at least one in five finds the right
 # turns of a connector.
@@ -44,9 +53,11 @@ _CLEAR, _CLEAR_OF_FEW = 0.45, 1.2
 Choice = NDArray[np.intp]
 
 
-def agree_on_turns(slopes: Sequence[F32], poses: Sequence[Pose], step: Pose, count: int) -> list[Pose] | None:
-    """Return the poses, some turned by a few of `count` steps, at which all pairs of presses agree best; None where
-    these do, or none clearly.
+def agree_on_turns(
+    slopes: Sequence[F32], poses: Sequence[Pose], step: Pose, count: int
+) -> tuple[list[Pose], bool]:
+    """Return the poses, some turned by a few of `count` steps, at which all pairs of presses agree best; tell whether
+    they do so clearly.
 
     slopes: of presses, float32 (h, w, 2). poses, step: in pixels of these; a step leads to the next turn at which the
     part nearly looks the same.
@@ -58,8 +69,8 @@ def agree_on_turns(slopes: Sequence[F32], poses: Sequence[Pose], step: Pose, cou
     views, seen = _show(slopes, of_press)
     turns = np.array([[pose.turn_rad for pose in each] for each in of_press])
     rest = _take_out(views, seen, turns)
-    n, rng, chosen = len(slopes), np.random.default_rng(_SEED), None
-    press, best = np.arange(n), _CLEAR + _CLEAR_OF_FEW / n
+    n, rng = len(slopes), np.random.default_rng(_SEED)
+    press, chosen, best = np.arange(n), np.zeros(n, np.intp), -math.inf
     for trial in range(_STARTS):
         taken = rng.integers(0, count, n) * (trial > 0)
         for _ in range(_ROUNDS):
@@ -68,10 +79,27 @@ def agree_on_turns(slopes: Sequence[F32], poses: Sequence[Pose], step: Pose, cou
         agreement = float(pairs[press[:, None], taken[:, None], press, taken].sum()) / (n * (n - 1))
         if agreement > best:
             best, chosen = agreement, taken
-    if chosen is None:
-        return None
     chosen = (chosen - np.bincount(chosen).argmax()) % count
-    return [each[k] for each, k in zip(of_press, chosen, strict=True)] if chosen.any() else None
+    return [each[k] for each, k in zip(of_press, chosen, strict=True)], best > _CLEAR + _CLEAR_OF_FEW / n
+
+
+def find_asymmetry(slopes: F32, step: Pose, count: int) -> float:
+    """Find what share of a part's relief differs from itself turned by `count` steps, and is no tilt or move of it.
+
+    slopes: float32 (h, w, 2). Where presses of a part that looks the same lie turned by chance, their tilts do not
+    average out: they are turned as these are most alike.
+    """
+    ways = [Pose()]
+    while len(ways) < count:
+        ways.append(ways[-1].after(step))
+    mean = np.mean([turn_slopes(slopes, way) for way in ways], axis=0)
+    y, x = (np.mgrid[: mean.shape[0], : mean.shape[1]] / max(mean.shape) - 0.5)[..., None]
+    down, across = np.gradient(mean, axis=(0, 1))
+    turned = np.stack([-mean[..., 1], mean[..., 0]], axis=-1) + max(mean.shape) * (across * y - down * x)
+    explained = np.reshape([mean, mean * x, mean * y, across, down, turned], (6, -1)).T
+    differs = (slopes - mean).ravel()
+    rest = differs - explained @ np.linalg.lstsq(explained, differs)[0]
+    return float((rest**2).sum() / max((mean**2).sum(), np.finfo(np.float32).tiny))
 
 
 def _show(slopes: Sequence[F32], of_press: Sequence[Sequence[Pose]]) -> tuple[F32, F32]:
@@ -138,11 +166,17 @@ def _ascend(pairs: F32, taken: Choice) -> Choice:
 
 def find_symmetry(turned: F64) -> int:
     """Find how often a part repeats itself in a full turn, from turns that differ by chance; 0 if they are any."""
-    return next((n for n in range(1, MOST_SYMMETRY + 1) if same_share(turned, n) >= _SAME_SHARE), 0)
+    return next((n for n in range(1, MOST_SYMMETRY + 1) if same_share(turned, n) >= SAME_SHARE), 0)
 
 
 def same_share(turned: F64, symmetry: int = 1) -> float:
     """Compute the share of presses that are turned by the same angle, but for steps of the symmetry."""
+    return 1 - len(find_apart(turned, symmetry)) / len(turned)
+
+
+def find_apart(turned: F64, symmetry: int = 1) -> list[int]:
+    """Find the presses that are turned otherwise than most, but for steps of the symmetry."""
     step = 2 * math.pi / symmetry
     apart = np.abs(np.remainder(turned[:, None] - turned + step / 2, step) - step / 2)
-    return float((apart < SAME_TURN_RAD).mean(axis=1).max())
+    is_same = apart < SAME_TURN_RAD
+    return np.flatnonzero(~is_same[is_same.sum(axis=1).argmax()]).tolist()

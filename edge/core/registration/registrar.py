@@ -90,11 +90,15 @@ class PoseSearch:
         """Find the best pose. It is in pixels of these slopes, float32 (h, w, 2) in the size of the part's."""
         first = self._coarse.candidates(shrunk(slopes, _COARSE_CELLS), _CANDIDATES)
         best = self._refine(slopes, first)
-        if not self._steps:
-            return best
+        return best if not self._steps else self.rate_turns(slopes, best)[0][1]
+
+    def rate_turns(self, slopes: F32, best: Alignment) -> list[tuple[float, Alignment]]:
+        """Rate the turns at which the part nearly looks the same, the best first: by all of a press, and by the places
+        that tell them apart."""
         others = [self._fine.align(slopes, best.pose.after(step), _FINE_ROUNDS) for step in self._steps]
         alike = [best, *(one for one in others if one.match > best.match - _CLEARLY)]
-        return max(alike, key=lambda one: one.match + _TELLING * self._tell(slopes, one.pose))
+        rated = [(one.match + _TELLING * self._tell(slopes, one.pose), one) for one in alike]
+        return sorted(rated, key=lambda each: -each[0])
 
     def _tell(self, slopes: F32, pose: Pose) -> float:
         """Correlate a press in a pose with the part at the places that tell its turns apart."""
@@ -170,8 +174,8 @@ class PartInPose:
     symmetry: int = 1
     """The part looks the same this many times in a full turn: 1 where its turn is known, 0 for a round part without."""
     nearly: int = 1
-    """It nearly looks the same this many times, beyond its symmetry: a press may be turned by such a part of a turn; 0
-    by other angles."""
+    """It nearly looks the same this many times: a press may be turned by such a part of a turn; 0 by other angles. As
+    often as `symmetry` where nominal presses do not tell these turns apart."""
     least_match: float = 0.5
     """Below it a press shows no such part."""
     least_seen: float = 0.5
@@ -263,7 +267,8 @@ class Registrar:
 
     def _find(self, slopes: F32) -> Alignment:
         near = self._search.find_near(slopes) if self.part.is_held else None
-        if near and near.match >= (self.part.least_match if self.is_unique else 1 - _CLEARLY):
+        is_alone = self.is_unique and self.part.nearly == 1
+        if near and near.match >= (self.part.least_match if is_alone else 1 - _CLEARLY):
             return near
         best = self._search.find(slopes)
         is_near = near and near.match >= max(self.part.least_match, best.match - _CLEARLY)
