@@ -20,7 +20,7 @@ _ALIKE, _ALIKE_OF_FEW = 0.0045, 0.06
 # It does not nearly look the same where so much differs: two like bumps turned by a twelfth 0.5, a connector 0.05.
 _UNLIKE = 0.2
 # Of presses of which a third or a half were turned by a wrong 120 degrees (PZ2, six draws) one falls by at most 0.027.
-DOUBTED = 0.03
+DOUBTED, _LOOKED_AT = 0.03, 8
 # A press is held like the others where it differs at their turn at most so many times as much as at its best one.
 _AS_WELL = 1.5
 # Presses that were turned together are refined in so many rounds.
@@ -94,7 +94,8 @@ def _find_doubts(small: Sequence[F32], aligned: Aligned) -> Aligned:
             for n, by, each in zip(parts, turned, again, strict=True)
         ]
 
-    of_press = [loses(press, alignment) for press, alignment in zip(slopes, alignments, strict=True)]
+    looked_at = list(zip(slopes, alignments, strict=True))[:_LOOKED_AT]
+    of_press = [loses(press, alignment) for press, alignment in looked_at]
     lost = dict(zip(parts, zip(*of_press, strict=True), strict=True))
     aligned = replace(aligned, doubts=aligned.doubts | {n for n, each in lost.items() if min(each) < DOUBTED})
     # Presses of a part that may look the same have the first one's turn, where they were held so.

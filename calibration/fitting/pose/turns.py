@@ -20,7 +20,6 @@ from edge.core.registration.registrar import field_depth, shrunk
 
 __all__ = [
     "MOST_SYMMETRY",
-    "SAME_SHARE",
     "SAME_TURN_RAD",
     "agree_on_turns",
     "find_apart",
@@ -34,8 +33,8 @@ SAME_TURN_RAD = math.radians(5)
 MOST_SYMMETRY = 12
 """A part repeats itself at most so often in a turn; more teeth than that are as good as round."""
 
-SAME_SHARE = 0.9
-"""A part's turns are the same if this share of its presses keeps them."""
+# A part's turns are the same if this share of its presses keeps them.
+_SAME_SHARE = 0.9
 
 # The presses as they lie are the first start, chance makes the others: of those at least one in five finds the right
 # turns of a connector.
@@ -166,7 +165,7 @@ def _ascend(pairs: F32, taken: Choice) -> Choice:
 
 def find_symmetry(turned: F64) -> int:
     """Find how often a part repeats itself in a full turn, from turns that differ by chance; 0 if they are any."""
-    return next((n for n in range(1, MOST_SYMMETRY + 1) if same_share(turned, n) >= SAME_SHARE), 0)
+    return next((n for n in range(1, MOST_SYMMETRY + 1) if same_share(turned, n) >= _SAME_SHARE), 0)
 
 
 def same_share(turned: F64, symmetry: int = 1) -> float:
