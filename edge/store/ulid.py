@@ -13,12 +13,12 @@ _ALPHABET = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 _FORM = re.compile(r"[0-7][0-9A-HJKMNP-TV-Z]{25}")
 
 
-def new_ulid(time_ns: int, random_bytes: Callable[[int], bytes] = os.urandom) -> str:
+def new_ulid(time_ns: int, random_bytes: Callable[[int], bytes] | None = None) -> str:
     """An id for the wall-clock moment `time_ns`. Errors: ValueError before 1970 or after the year 10889."""
     milliseconds = time_ns // 1_000_000
     if not 0 <= milliseconds < 1 << 48:
         raise ValueError(f"a ULID holds 48 bits of milliseconds since 1970, found {milliseconds}")
-    number = milliseconds << 80 | int.from_bytes(random_bytes(10), "big")
+    number = milliseconds << 80 | int.from_bytes((random_bytes or os.urandom)(10), "big")
     return "".join(_ALPHABET[number >> shift & 31] for shift in range(125, -1, -5))
 
 

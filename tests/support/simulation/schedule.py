@@ -1,10 +1,13 @@
 """One run: a schedule steps the station and its surroundings, and auditors watch.
 
-No thread is started and no time is waited for: each thread of the station is an actor whose turn the schedule draws,
+No time is waited for, and no thread is started but for a request: each is an actor whose turn the schedule draws,
 and the clock moves to the next actor that has something to do. The same seed and commit give the same run.
 """
 
+import os
 import random
+import shutil
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -13,6 +16,7 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 from traceback import extract_tb, format_exception
+from types import SimpleNamespace
 
 from edge.config import Config, load_config
 from edge.core.errors import BundleError, ConfigError, StoreError
@@ -36,7 +40,7 @@ from simulation.plc import HANDSHAKE, TIMEOUT_S
 from simulation.power import listening
 from simulation.sensor import SERIAL, S
 from simulation.shelf import Shelf
-from simulation.surroundings import World, reading_log
+from simulation.surroundings import SimulatedClock, World, reading_log
 from simulation.threads import Actor, Threads
 from simulation.web import PAGE, TOKEN, Browser
 
@@ -69,6 +73,8 @@ PATIENCE = 0.99
 """Of a fault that waits for its moment, each tenth of a second."""
 BROKERS_S = 0.8
 """So long after its begin a station has seen its sensor, and recorded no press."""
+ROOM_BYTES = 10**11
+"""What the disk says that it has free."""
 SINK = '[[sinks]]\nplugin = "simulated"\noptions = {{ host = "{name}", acknowledge_s = {at_once_s} }}\n'
 
 FILE = '[[sinks]]\nplugin = "jsonl"\noptions = {{ folder = "{folder}" }}\n'
@@ -139,7 +145,7 @@ class Simulation:
         disk = listening(self._disk) if self._needs_disk else nullcontext()
         with (
             reading_log(self.run.faults),
-            _drawn_from(self.rng),
+            _standing_in(self.rng, self.run.seed, self.world.clock),
             connecting(self.world.connections),
             disk as self.station.disk.unsynced,
         ):
@@ -448,16 +454,21 @@ class Simulation:
 
 
 @contextmanager
-def _drawn_from(rng: random.Random) -> Iterator[None]:
-    """A generator that the program makes without a seed gets one from the run."""
-    real = random.Random
+def _standing_in(rng: random.Random, seed: int, clock: SimulatedClock) -> Iterator[None]:
+    """Let the run give what the program takes from the machine: a generator without a seed gets one, and ids their
+    bytes; a computation takes no time, and the disk has the same room."""
+    real, urandom, perf_counter, disk_usage = random.Random, os.urandom, time.perf_counter, shutil.disk_usage
+    ids = real(f"{seed} ids")
 
     class Drawn(real):  # type: ignore[misc, valid-type]
         def __init__(self, seed: object = None) -> None:
             super().__init__(rng.getrandbits(64) if seed is None else seed)
 
-    random.Random = Drawn  # type: ignore[misc]
+    random.Random, os.urandom = Drawn, ids.randbytes  # type: ignore[misc]
+    time.perf_counter = lambda: clock.now_ns / S
+    shutil.disk_usage = lambda path: SimpleNamespace(free=ROOM_BYTES)  # type: ignore[assignment]
     try:
         yield
     finally:
-        random.Random = real  # type: ignore[misc]
+        random.Random, os.urandom = real, urandom  # type: ignore[misc]
+        time.perf_counter, shutil.disk_usage = perf_counter, disk_usage
