@@ -119,6 +119,7 @@ FAMILIES = (
     Family({"lose power": 10, "kill": 6, "replace gel": 3}, {"has_file": True, "has_archive": True}),
     Family({"silence": 10, "unplug": 8, "hold back": 6, "blind": 6, "kill": 4}),
     Family({"plc": 5, "begin piece": 8, "stop": 2}, {"plc": "opcua", "piece": "free", "is_slow": True}),
+    Family({"begin piece": 12, "stop": 2}, {"piece": "fixed", "presses": 40}),
     Family({"acknowledge": 2}, {"meetings": (FULL[0], FULL[1], FULL[0], FULL[2], FULL[0])}),
     Family({"freeze": 20, "hold back": 10, "shake": 2, "damage": 2}, {"stamps_late": False}),
 )
