@@ -52,8 +52,8 @@ LEAST_PRESSES = 6
 _HELD_OUT = 3
 
 _ENOUGH_TO_TURN = 24
-"""So many presses turned a connector with three pins right in each of ten draws, 12 in seven of ten. Of a part whose
-tilt hides what breaks its symmetry, 40 told no more than 20."""
+"""So many presses turned a connector with three pins right in most draws, 12 in fewer. Of a part whose tilt hides what
+breaks its symmetry, 40 told no more than 20."""
 
 _NEARLY = 0.05
 """By so much two figures of a proof differ by chance, of some 14 sound presses. Then presses whose places are compared
