@@ -392,10 +392,11 @@ class Station:
     def answer(self, do: Callable[[str, bytes], bytes], verb: str, payload: bytes) -> bytes:
         """Do a request that a sink has received, on a thread of its own; the loop answers with its next turn.
 
-        Only one of the two threads runs at a time.
+        Only one of the two threads runs at a time: the loop's turn goes on when the request is done.
         """
-        calls, found = self.loop.parts.calls, list[bytes]()
+        calls, golden, found = self.loop.parts.calls, self.loop.parts.selection.golden, list[bytes]()
         waiting = len(calls._waiting)
+        calls._answer_s = 3600.0  # of real time, which says nothing here
 
         def answer() -> None:
             found.append(do(verb, payload))
@@ -405,9 +406,25 @@ class Station:
         thread.start()
         while thread.is_alive() and len(calls._waiting) == waiting:
             time.sleep(0)
+        if len(calls._waiting) > waiting:
+            came_ns, ask = calls._waiting.pop()
+
+            def ask_and_wait(loop: StationLoop) -> None:
+                scored = len(golden._asked)
+                ask(loop)
+                if len(golden._asked) > scored:  # it waits for the frames, which the loop scores later
+                    golden._asked[-1].add_done_callback(lambda _: self._let_go_on(thread))
+                else:
+                    self._let_go_on(thread)
+
+            calls._waiting.append((came_ns, ask_and_wait))
         self.asking.append(thread)
         self.world.connections.wait(lambda: bool(found), 3600, poll_s=0.05)
         return found[0] if found else b"{}"
+
+    def _let_go_on(self, thread: threading.Thread) -> None:
+        if not self.shared.is_store_held:  # which it may wait for
+            thread.join()
 
     def allows(self, answer: dict[str, Any]) -> bool:
         """Tell whether this request may be done: it was signed with the station's secret, or everyone may ask it."""
