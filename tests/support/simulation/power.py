@@ -122,7 +122,7 @@ class Unsynced:
 
     def find_losable(self, path: Path) -> dict[int, list[bytes]]:
         """Find the sectors of a file that a loss of power may take, each with what it held before, oldest first."""
-        if path.name.startswith("gelgate.db") and path.suffix != ".counts":
+        if _is_database(path):
             return dict(self.sectors.get(str(path), {}))
         now, then = path.read_bytes(), self.synced.get(path.stat().st_ino, b"")
         return dict(_changed(then, now))
@@ -131,7 +131,7 @@ class Unsynced:
         """The folder is another one, and all of it is on the disk."""
         self.sectors.clear()
         self.names.clear()
-        files = [path for path in self.folder.rglob("*") if path.is_file()]
+        files = [path for path in self.folder.rglob("*") if path.is_file() and not _is_database(path)]
         self.synced = {path.stat().st_ino: path.read_bytes() for path in files}
         self._sizes = {path.stat().st_ino: path.stat().st_size for path in files}
 
@@ -142,6 +142,10 @@ class Unsynced:
             return
         old = new.read_bytes() if new.is_file() else None
         self.names.append(Name(event, path, new, old, self.find_losable(new) if old is not None else {}))
+        if old is not None:  # another file may get its inode
+            inode = new.stat().st_ino
+            self.synced.pop(inode, None)
+            self._sizes.pop(inode, None)
 
     def keep_names(self, path: str) -> None:
         """Take that a file is synced: with its new length the file system writes all names that were changed before."""
@@ -157,6 +161,10 @@ class Unsynced:
             with open(path, "rb") as file:
                 self.synced[os.fstat(descriptor).st_ino] = file.read()
             self.keep_names(path)
+
+
+def _is_database(path: Path) -> bool:
+    return path.name.startswith("gelgate.db") and path.suffix != ".counts"
 
 
 def _changed(then: bytes, now: bytes) -> Iterator[tuple[int, list[bytes]]]:
