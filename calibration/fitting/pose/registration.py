@@ -52,6 +52,9 @@ _LEAST_TYPICAL = 0.6
 _NEARLY = 2.0
 # A part that agrees this well with itself at any turn may be round: real balls 0.75 and more, a gear of 12 teeth 0.41.
 _ROUND, _ROUND_TURNS = 0.7, 72
+# One that agrees so well is round also where its turns settle, unless presses that are not turned differ so many times
+# as much: four real balls 0.90 to 0.96 and 1.2 to 2.5 times, a shaft with a flat 0.85 and 3.9, PZ2 0.81 and 1.6.
+_SURELY_ROUND, _AS_WELL = 0.87, 1.5
 # Presses that turn by less than this all together do not turn.
 _STILL_RAD = math.radians(45)
 # A press is recognised up to this many times the mismatch of the nominal one that agrees least, for damage adds to it:
@@ -256,11 +259,16 @@ def _agree(tried: Sequence[Aligned]) -> Aligned:
 
 
 def _is_round(small: Sequence[F32], tried: Sequence[Aligned]) -> bool:
-    """Whether the part has no turn: it agrees with itself at any, and its presses do not settle or do not turn."""
+    """Whether the part has no turn: it agrees with itself at any, and its presses do not settle or do not turn, or need
+    no turn."""
     best, near = max(tried, key=lambda one: one.typical), _hear(tried)
-    if all(one.symmetry for one in near) and float(np.ptp(best.turns)) > _STILL_RAD:
+    roundness = max(_roundness(small, one) for one in near)
+    if any(not one.symmetry for one in near) or float(np.ptp(best.turns)) <= _STILL_RAD:
+        return roundness >= _ROUND
+    if roundness < _SURELY_ROUND:
         return False
-    return max(_roundness(small, one) for one in near) >= _ROUND
+    still = _Alignment(small, _firsts(small)[0], best.colours, is_turning=False).settle()
+    return 1 - still.typical <= _AS_WELL * (1 - best.typical)
 
 
 def _roundness(small: Sequence[F32], aligned: Aligned) -> float:
