@@ -123,8 +123,11 @@ def audit_lifts(world: World, station: Station) -> Iterator[str]:
 
 
 def _is_unseen(station: Station, press: MadePress, told_ns: int) -> bool:
-    """Tell whether it began while the loop hung that has just gone on, and has not looked at it."""
-    return any(
+    """Tell whether it began while the loop hung that has just gone on, and has recorded nothing of it."""
+    is_recorded = any(
+        press.begin_ns < (seen.frame_ns or 0) <= seen.noted_ns <= told_ns for seen in station.seen
+    )
+    return not is_recorded and any(
         began_ns < press.begin_ns < ended_ns > told_ns - S // 20 for began_ns, ended_ns in station.hung
     )
 

@@ -514,4 +514,20 @@ FAILED = (
         ),
         says="press # at # s is lost, without any fault",
     ),
+    # A hang that was drawn before the last fault ended began after it, so frames waited when memory was counted.
+    Failure(
+        seed=14,
+        presses=1,
+        chosen=Chosen(),
+        schedule=(Fault(at_s=3.558999984, name="hang", seed=7),),
+        says="# of CameraFrame are in memory",
+    ),
+    # A loop that had hung recorded a press from the frames that waited, and the auditor took it for unseen.
+    Failure(
+        seed=35,
+        presses=1,
+        chosen=Chosen(),
+        schedule=(Fault(at_s=3.0, name="hang", seed=35),),
+        says="lift was shown at # s, and press none was not recorded yet",
+    ),
 )

@@ -220,7 +220,7 @@ class Simulation:
                 end()
             self.ending.clear()
             self._actors = [actor for actor in self._actors if not actor.name.startswith("fault ")]
-            self.station.disk.kill_in = None
+            self.station.disk.kill_in = self.station.hangs_in = None
             for broker in self.world.brokers.values() if self.chosen.forgets else ():
                 broker.go("away")
                 broker.retained.clear()
