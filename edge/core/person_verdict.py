@@ -5,11 +5,11 @@ import math
 from collections import Counter
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Final, Literal
 
 from edge.core.binomial import rate_limits
 from edge.core.printable import write_count
-from edge.core.sentence import Sentence
+from edge.core.sentence import Sentence, join_sentences
 
 __all__ = [
     "Agreement",
@@ -19,11 +19,15 @@ __all__ = [
     "choose_questions",
     "describe_escapes",
     "find_broken_promise",
+    "is_called_damaged",
     "settle",
 ]
 
 Saying = Literal["good", "damaged", "gel", "cannot_tell"]
 """The part is good; it is damaged; a mark of the gel shows, and the part is good; a person cannot tell."""
+
+# Presses that an alarm names.
+_MOST_NAMED: Final = 20
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,12 @@ def settle(verdicts: Sequence[PersonVerdict]) -> PersonVerdict | None:
         if verdict.saying in counts and newest[_find_key(verdict)] is verdict
     )
     return next(held, last)
+
+
+def is_called_damaged(verdicts: Sequence[PersonVerdict]) -> bool:
+    """Tell whether somebody calls a press damaged, and not twice as many something else. verdicts: oldest first."""
+    held, newest = settle(verdicts), {_find_key(verdict): verdict.saying for verdict in verdicts}
+    return held is not None and held.saying in ("damaged", "cannot_tell") and "damaged" in newest.values()
 
 
 def _find_key(verdict: PersonVerdict) -> str:
@@ -166,14 +176,25 @@ def _draw(one: Asked) -> bytes:
     return hashlib.sha256(b"%d" % one.time_ns).digest()
 
 
-def describe_escapes(passed: Sequence[str]) -> Sentence | None:
-    """Say which presses passed and are damaged, by their ids, the newest last; None for none."""
-    if not passed:
-        return None
-    number, newest = len(passed), passed[-1]
-    return Sentence(
-        f"presses that passed and that people called damaged in the last day: {number}, the newest {newest}"
-    )
+def describe_escapes(passed: Sequence[str], passing: Sequence[str]) -> Sentence | None:
+    """Say which presses that people call damaged passed, and which others pass the bundle that inspects now, by their
+    ids, the newest last; None for none."""
+    number, sentences = len(passed), list[Sentence]()
+    newest, others = (", ".join(reversed(ids[-_MOST_NAMED:])) for ids in (passed, passing))
+    if passed:
+        sentences.append(
+            Sentence(
+                f"presses that passed and that people called damaged in the last day: {number}, the newest {newest}"
+            )
+        )
+    if passing:
+        sentences.append(
+            Sentence(
+                "the bundle that inspects now passes presses that another one found and that people called damaged in "
+                f"the last day: {others}"
+            )
+        )
+    return join_sentences(sentences)
 
 
 def find_broken_promise(

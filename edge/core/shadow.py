@@ -91,7 +91,7 @@ class Weighing:
     def doubts(self) -> list[str]:
         """Name the presses that anybody ever called damaged and the shadow passes, and say which are unknown."""
         passing = [press.press_id for press in self.presses if press.was_damaged and press.other == "pass"]
-        named = [f"the shadow passes {', '.join(passing)}, which somebody called damaged"] if passing else []
+        named = [f"it passes {', '.join(passing)}, which somebody called damaged"] if passing else []
         return [*named, *self.unknown]
 
     @property

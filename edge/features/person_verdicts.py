@@ -1,6 +1,7 @@
 """What people say of presses: an act of the ledger each, and the presses that a page asks about."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import date
 from functools import partial
 from typing import Final, Self
@@ -17,7 +18,7 @@ from edge.core.person_verdict import (
     choose_questions,
     describe_escapes,
     find_broken_promise,
-    settle,
+    is_called_damaged,
 )
 from edge.core.press import Press
 from edge.core.sentence import Sentence
@@ -35,11 +36,12 @@ from edge.store.person_verdicts import (
     count_good,
     find_table,
     newest_acts,
+    read_as_shadow,
     read_askable,
     read_passed,
     read_verdicts,
 )
-from edge.store.press_archive import ArchiveFolder
+from edge.store.press_archive import ArchivedPress, ArchiveFolder
 
 __all__ = ["PersonVerdicts"]
 
@@ -142,11 +144,15 @@ class PersonVerdicts(PressStage):
             self._alarms.say("false_alarms", broken, "warning")
 
     def _say_escapes(self) -> None:
-        """Say which presses that passed are damaged, by what people said in the last day."""
-        settled = {press_id: settle(words) for press_id, words in self._read_said().items()}
-        damaged = [press_id for press_id, word in settled.items() if word and word.saying == "damaged"]
+        """Say which presses are damaged that passed, or that pass the bundle in use, which was their shadow, by what
+        people said in the last day."""
+        damaged = [press_id for press_id, words in self._read_said().items() if is_called_damaged(words)]
         passed = self._store.read("looking for what passed", partial(read_passed, press_ids=damaged))
-        self._escapes = describe_escapes(passed)
+        in_use = self._selection.inspector.bundle.digest
+        query = partial(read_as_shadow, press_ids=damaged, bundle_id=in_use)
+        now = self._store.read("looking for what passes now", query)
+        passing = [press_id for press_id, verdict in now.items() if verdict == Kind.PASS.value]
+        self._escapes = describe_escapes(passed, passing)
         self._alarms.say("escape", self._escapes, "warning")
 
     def _read_said(self) -> dict[str, list[PersonVerdict]]:
@@ -211,12 +217,20 @@ class PersonVerdicts(PressStage):
             )
         verdicts = self._store.read("reading what people said", partial(read_verdicts, press_id=press_id))
         earlier = verdicts.get(press_id, [])
+        archive, press = ArchiveFolder(self._store.path.with_suffix(".archive")), None
+        with suppress(ArchiveError):
+            press = archive.press(press_id, table.evidence)
+        remarks: list[Sentence] = []
+        if arguments.verdict == "good":
+            remarks = self._say_way(press_id, table.verdict)
+        elif arguments.verdict == "damaged" and press is not None:
+            remarks = self._say_unknown(press)
         return {
             "press_id": press_id,
             "verdict": table.verdict,
-            "is_archived": self._is_archived(press_id, table.evidence),
+            "is_archived": press is not None and archive.has_all(press),
             "earlier": [f"{one.person}: {one.saying}" for one in earlier],
-            "remarks": self._say_way(press_id, table.verdict) if arguments.verdict == "good" else [],
+            "remarks": remarks,
         }
 
     def _say_way(self, press_id: str, verdict: str | None) -> list[Sentence]:
@@ -235,13 +249,21 @@ class PersonVerdicts(PressStage):
         has_shadow = self._selection.shadow is not None
         return [] if verdict == Kind.PASS.value else [describe_way(failed, has_shadow=has_shadow)]
 
-    def _is_archived(self, press_id: str, evidence: bytes | None) -> bool:
-        """Say whether its record, and all that it names, is there still."""
-        archive = ArchiveFolder(self._store.path.with_suffix(".archive"))
-        try:
-            return archive.has_all(archive.press(press_id, evidence))
-        except ArchiveError:
-            return False
+    def _say_unknown(self, press: ArchivedPress) -> list[Sentence]:
+        """Say of a damage that another bundle found where nobody knows whether the one in use finds it."""
+        bundle_id = self._selection.inspector.bundle.digest
+        is_of_part = (press.part, press.position) == self._selection.part
+        if press.verdict == Kind.PASS.value or press.bundle_id == bundle_id or not is_of_part:
+            return []
+        query = partial(read_as_shadow, press_ids=[press.press_id], bundle_id=bundle_id)
+        if self._store.read("reading what the bundle said", query):
+            return []
+        return [
+            Sentence(
+                "another bundle found this damage; whether the one that inspects now finds it is not known: `gelgate "
+                "bundle teach` tells"
+            )
+        ]
 
     commands = (
         Command(

@@ -210,19 +210,7 @@ class Shadow(PressStage):
         self, part: PartPosition, in_use: str, other: str, shadow: Inspector, *, is_by_itself: bool = False
     ) -> Data:
         """Weigh the two, while the loop goes on. Errors: ValueError where the shadow may not take over; StoreError."""
-        with open_read_only(self._store.path, "weighing a shadow") as connection:
-            learnt = read_learnt(connection, shadow.bundle.manifest.provenance.presses)
-            of_gel = [press_id for press_id, gel in learnt.items() if gel == self._gel]
-            is_unproven = (
-                self._gel is not None
-                and unproven_since(connection, GelBundle(*self._gel, in_use)) is not None
-            )
-            is_new_gel = is_unproven and len(of_gel) >= LEAST_ON_NEW_GEL
-            both, missing = read_judged_twice(
-                connection, part, other, in_use, of_gel if is_new_gel else learnt
-            )
-        more, unknown = self._judge_missing(missing, shadow, None if is_new_gel else in_use)
-        weighing = Weighing([*both, *more], unknown, is_new_gel=is_new_gel, is_by_itself=is_by_itself)
+        weighing = replace(self._weigh(part, in_use, other, shadow), is_by_itself=is_by_itself)
         doubts = "; ".join(weighing.doubts())
         refusals = weighing.refusals(has_promise=shadow.bundle.manifest.threshold.n > 0)
         if refusals:
@@ -235,6 +223,22 @@ class Shadow(PressStage):
         why = "; ".join(filter(None, (weighing.describe(), doubts)))
         self._post(partial(self._wish_for, _Exchange(part, in_use, other, why)))
         return {"bundle_id": other, "instead_of": in_use, "why": why, "is_waiting": True}
+
+    def _weigh(self, part: PartPosition, in_use: str, other: str, shadow: Inspector) -> Weighing:
+        """Compare the two by the presses that both judged, or judge now from the archive. Errors: StoreError."""
+        with open_read_only(self._store.path, "weighing a shadow") as connection:
+            learnt = read_learnt(connection, shadow.bundle.manifest.provenance.presses)
+            of_gel = [press_id for press_id, gel in learnt.items() if gel == self._gel]
+            is_unproven = (
+                self._gel is not None
+                and unproven_since(connection, GelBundle(*self._gel, in_use)) is not None
+            )
+            is_new_gel = is_unproven and len(of_gel) >= LEAST_ON_NEW_GEL
+            both, missing = read_judged_twice(
+                connection, part, other, in_use, of_gel if is_new_gel else learnt
+            )
+        more, unknown = self._judge_missing(missing, shadow, None if is_new_gel else in_use)
+        return Weighing([*both, *more], unknown, is_new_gel=is_new_gel)
 
     def _adopt_by_itself(self, part: PartPosition, in_use: str, other: str, shadow: Inspector) -> None:
         """Let it take over where it may and was never taken back; else the log says why not."""
@@ -275,14 +279,23 @@ class Shadow(PressStage):
                     )
         return judged, unknown
 
-    def _restore(self, arguments: NoArguments) -> Data:
-        ids = self._ids()
-        if ids is None or self._selection.instead_of is None:
+    def _restore(self, arguments: NoArguments) -> Any:
+        ids, shadow = self._ids(), self._selection.shadow
+        if ids is None or shadow is None or self._selection.instead_of is None:
             raise ValueError(
                 f"no shadow has taken the place of the configured bundle of {self._selection.part}"
             )
-        self._wish_for(_Exchange(*ids, "restore_bundle was asked for"))
-        return {"bundle_id": ids[2], "instead_of": ids[1], "is_waiting": True}
+        return partial(self._bring_back, *ids, shadow)
+
+    def _bring_back(self, part: PartPosition, in_use: str, other: str, configured: Inspector) -> Data:
+        """Bring the configured bundle back, and name the damage that it passes: nothing holds the way back up."""
+        try:
+            doubts = self._weigh(part, in_use, other, configured).doubts()
+        except StoreError as error:
+            doubts = [str(error)]
+        why = "; ".join(["restore_bundle was asked for", *doubts])
+        self._post(partial(self._wish_for, _Exchange(part, in_use, other, why)))
+        return {"bundle_id": other, "instead_of": in_use, "why": why, "is_waiting": True}
 
     commands = (
         Command(

@@ -21,6 +21,7 @@ __all__ = [
     "count_good",
     "find_table",
     "newest_acts",
+    "read_as_shadow",
     "read_askable",
     "read_passed",
     "read_spoken_of",
@@ -98,6 +99,17 @@ def read_passed(connection: sqlite3.Connection, press_ids: Iterable[str]) -> lis
         "ORDER BY number"
     )
     return [press_id for (press_id,) in connection.execute(query, (json.dumps(list(press_ids)),))]
+
+
+def read_as_shadow(
+    connection: sqlite3.Connection, press_ids: Iterable[str], bundle_id: str
+) -> dict[str, str]:
+    """Read what this bundle said, as the shadow, of those of these presses that did not pass, oldest first."""
+    query = (
+        "SELECT press_id, json_extract(shadow, '$.verdict') FROM presses WHERE verdict <> 'pass' AND "
+        "press_id IN (SELECT value FROM json_each(?)) AND json_extract(shadow, '$.bundle_id') = ? ORDER BY number"
+    )
+    return dict(connection.execute(query, (json.dumps(list(press_ids)), bundle_id)))
 
 
 def count_good(

@@ -172,7 +172,7 @@ def test_damage_that_passes_is_named_whatever_was_said_of_it_later() -> None:
 
     assert weighing.refusals(has_promise=True) == []
     assert by_itself.refusals(has_promise=True) == ["whether it finds the damage of 1 press is not known"]
-    assert weighing.doubts() == ["the shadow passes P1, P2, which somebody called damaged", "P4 is gone"]
+    assert weighing.doubts() == ["it passes P1, P2, which somebody called damaged", "P4 is gone"]
 
 
 def test_both_are_counted_in_one_sentence() -> None:

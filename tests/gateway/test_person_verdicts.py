@@ -400,7 +400,33 @@ def test_damage_that_passed_is_an_alarm_until_the_word_is_taken_back_or_a_day_ol
 
     said = "presses that passed and that people called damaged in the last day: {}, the newest {}"
     first = said.format(1, ids[0])
-    assert texts == [None, said.format(1, ids[3]), said.format(2, ids[3]), first, first, None]
+    both = said.format(2, f"{ids[3]}, {ids[0]}")
+    assert texts == [None, said.format(1, ids[3]), both, first, first, None]
+
+
+@pytest.mark.parametrize(
+    ("others", "is_called"),
+    [
+        (["good"], True),
+        (["gel"], True),
+        (["cannot_tell"], True),
+        (["good", "good"], False),
+        (["good", "gel"], True),
+    ],
+)
+def test_a_damage_that_passed_is_said_until_twice_as_many_deny_it(
+    played: SteppedStation, others: list[str], is_called: bool
+) -> None:
+    """Also where the other word came first: nobody can tell, and the piece is out."""
+    press_id = played.results[0].press_id
+    for number, word in enumerate(others):
+        say(played, f"lee {number}")(press_id=press_id, verdict=word)
+    settle(played)
+    assert played.alarm("escape") is None
+    say(played)(press_id=press_id, verdict="damaged")
+    settle(played)
+
+    assert (press_id in (played.alarm("escape") or "")) == is_called
 
 
 def test_a_word_that_stands_in_the_way_is_asked_for_once_more(played: SteppedStation) -> None:

@@ -9,7 +9,7 @@ from unittest.mock import Mock
 
 import pytest
 from command_line import gelgate
-from shadow_station import FIVE, Shadowed, adopt
+from shadow_station import FIVE, Shadowed, adopt, restore
 from station import Motion, press_recording, variant
 from stepped_station import SteppedStation
 
@@ -121,8 +121,7 @@ def test_a_shadow_takes_over_stays_and_is_taken_back(
         again.play_presses(2)
         with pytest.raises(ValueError, match="has taken over already; restore_bundle brings"):
             again.ask("adopt_shadow")
-        again.ask("restore_bundle")
-        again.turn()
+        restore(again)
         again.play_presses(3)
         with pytest.raises(ValueError, match="no shadow has taken the place"):
             again.ask("restore_bundle")
@@ -162,8 +161,7 @@ def test_a_shadow_takes_over_by_itself_once_and_not_where_it_was_taken_back(
     with SteppedStation(config) as station:
         play(station, 3)
         text = station.alarm("takeover")
-        station.ask("restore_bundle")
-        station.turn()
+        restore(station)
         play(station, 6)
         acts = [act.after["bundle_id"] for act in station.parts.store.acts() if act.verb == "take_over"]
 
@@ -205,6 +203,56 @@ def test_a_takeover_waits_for_a_press_end(shadowed: Shadowed, bundle: Path, shad
 
     old, new = Bundle.load(bundle).digest, Bundle.load(shadow).digest
     assert [one.bundle_id for one in station.results] == [old, old, new]
+
+
+def test_a_damage_named_after_the_takeover_is_no_secret_of_the_bundle_that_passes_it(
+    shadowed: Shadowed, tmp_path: Path, bundle: Path, few: None
+) -> None:
+    """The bundle before had failed it, and nobody had spoken when the other one took over. Where that one has not
+    judged it, the answer to the word says so."""
+    lenient = variant(bundle, tmp_path / "lenient", revision=2, threshold=FIVE | {"value": 1e6})
+    with SteppedStation(shadowed(bundle)) as before:
+        before.play_presses(3)
+    with SteppedStation(shadowed(bundle, lenient)) as station:
+        station.play_presses(3)
+        adopt(station)
+        found, judged_alone = (one.results[2].press_id for one in (station, before))
+        answers = [
+            station.ask("confirm_press", press_id=press_id, verdict="damaged")["remarks"]
+            for press_id in (found, judged_alone)
+        ]
+        say(station, {2: "damaged"})
+        station.clock.sleep(2)
+        station.turn()
+        text = station.alarm("escape")
+
+    assert (station.verdicts[2], station.results[2].shadow.verdict) == ("fail", "pass")
+    assert text == (
+        "the bundle that inspects now passes presses that another one found and that people called damaged in the last "
+        f"day: {found}"
+    )
+    assert answers[0] == []
+    assert "whether the one that inspects now finds it is not known" in answers[1][0]
+
+
+def test_the_way_back_names_the_damage_that_the_old_bundle_passes(
+    shadowed: Shadowed, tmp_path: Path, bundle: Path, few: None
+) -> None:
+    """And is not held up by it."""
+    lenient = variant(bundle, tmp_path / "lenient", revision=1, threshold=FIVE | {"value": 1e6})
+    strict = variant(bundle, tmp_path / "strict", revision=2, threshold=FIVE)
+    with SteppedStation(shadowed(lenient, strict)) as station:
+        station.play_presses(1)
+        adopt(station)
+        station.play_presses(3)
+        say(station, {2: "damaged"})
+        restore(station)
+        text = station.alarm("takeover")
+        assert station.bundle_id == Bundle.load(lenient).digest
+
+    named = f"it passes {station.results[2].press_id}, which somebody called damaged"
+    assert text is not None
+    assert text.endswith(f": restore_bundle was asked for; {named}")
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from shadow_station import FIVE, Shadowed, adopt
+from shadow_station import FIVE, Shadowed, adopt, restore
 from station import Motion, press_recording, station_config, variant
 from stepped_station import SteppedStation
 
@@ -98,7 +98,7 @@ def test_takeover_and_way_back_survive_a_reload_of_before(shadowed: Shadowed, ol
         for verb, used in (("adopt_shadow", ids[1]), ("restore_bundle", ids[0])):
 
             def ask(verb: str = verb) -> None:
-                adopt(station) if verb == "adopt_shadow" else (station.ask(verb), station.turn())
+                (adopt if verb == "adopt_shadow" else restore)(station)
 
             selection = station.parts.selection
             selection.reload()

@@ -42,3 +42,10 @@ def adopt(station: SteppedStation) -> Any:
     data = station.ask("adopt_shadow")()
     station.turn()
     return data
+
+
+def restore(station: SteppedStation) -> Any:
+    """Ask for the configured bundle in the same way."""
+    data = station.ask("restore_bundle")()
+    station.turn()
+    return data
