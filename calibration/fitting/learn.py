@@ -138,6 +138,8 @@ class ConfirmedPresses:
             if judged.ratio <= farthest:
                 kept.append(judged)
                 continue
+            if judged.press.press_id in self.doubted:  # whether the new bundle passes it is said all the same
+                self.others.append(judged.press)
             self.left_out.append(
                 f"{judged.describe()} lies beyond {farthest:.3g} times the threshold; if such parts are good, give a "
                 "picture of it among the nominal presses"
@@ -224,6 +226,7 @@ def read_confirmed(
             press = archive.press(press_id, evidence)
             frame = archive.read(press.frame, f"the judged frame of press {press_id}")
             unjudged = None if press.masked is None else archive.read_masked(press)
+            archive.read_reference(press)  # without it the press cannot be judged again
         except ArchiveError as error:
             unknown = "; whether the new bundle finds this damage is not known" if is_doubted else ""
             presses.left_out.append(f"{error}{unknown}")
@@ -256,14 +259,14 @@ def join_pieces(presses: NominalPresses, confirmed: Sequence[ConfirmedPress]) ->
     return replace(presses, specimens=tuple(specimens))
 
 
-def leave_out_places(presses: NominalPresses, confirmed: Sequence[ConfirmedPress]) -> NominalPresses:
+def leave_out_places(presses: NominalPresses, unjudged: Mapping[str, Mask | None]) -> NominalPresses:
     """Return the presses; those of the station with the places at which it did not judge them, of the region of now.
-    presses: as `join_pieces` takes them."""
+    presses: as `join_pieces` takes them. unjudged: by the id of the press."""
     nothing = np.zeros(presses.frames.shape[1:3], np.bool_)
     places = {
-        press.press.press_id: press.unjudged
-        for press in confirmed
-        if press.unjudged is not None and press.unjudged.shape == nothing.shape
+        press_id: mask
+        for press_id, mask in unjudged.items()
+        if mask is not None and mask.shape == nothing.shape
     }
     masks = [places.get(Path(name).stem, nothing) for name in presses.names]
     return replace(presses, unjudged=np.stack(masks)) if places else presses

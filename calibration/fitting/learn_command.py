@@ -94,7 +94,8 @@ def learn(given: LearnArguments) -> None:
             no_contact=given.no_contact,
             leave_out=given.leave_out or (),
         )
-    presses = leave_out_places(join_pieces(presses, confirmed.good), confirmed.good)
+    unjudged = {press.press.press_id: press.unjudged for press in confirmed.good}
+    presses = leave_out_places(join_pieces(presses, confirmed.good), unjudged)
     _warn_without_gel(old, presses)
     warn_of_lost(old)
     learnt = [k for k, name in enumerate(presses.names) if name.startswith(f"{pictures.name}/")]

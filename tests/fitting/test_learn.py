@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import Outcome, gelgate
-from confirmed_station import PLAIN, Judged, fit
+from confirmed_station import PLAIN, Judged, fit, hide_places
 from sql import execute
 from station import station_config, variant
 from stepped_station import SteppedStation
@@ -32,7 +32,6 @@ from calibration.fitting.learn import (
 from calibration.fitting.learn_command import _read_pictures, _warn_of_fewer_found
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
-from edge.core.arrays import Mask
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.part_position import PartPosition
@@ -42,7 +41,7 @@ from edge.core.verdict import decide
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 from edge.store.gel_proofs import GelBundle
-from edge.store.press_archive import ArchivedPress, ArchiveFolder, mask_bytes
+from edge.store.press_archive import ArchivedPress
 
 
 def learn(station: Judged, *more: object, bundle: Path | None = None, sources: Path | None = None) -> Outcome:
@@ -110,38 +109,38 @@ def test_damage_called_good_is_left_out_and_named(station: Judged, monkeypatch: 
     assert "9 nominal presses, 1 of them from the station" in done.out
 
 
+def test_a_press_called_good_and_damaged_that_is_left_out_is_judged_all_the_same(
+    station: Judged, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three people overrule the one who saw a damage, and it lies too far beyond the threshold to be learnt."""
+    monkeypatch.setattr("calibration.fitting.learn.FARTHEST", 1.1)
+    station.say({0: "good", 2: "damaged"})
+    for person in "abc":
+        station.say({2: "good"}, person)
+
+    confirmed = read_confirmed(station.database, PartPosition("bolt", "default"), "")
+
+    assert [one.press.press_id for one in confirmed.good] == [station.ids[0]]
+    assert station.ids[2] in [one.press_id for one in confirmed.others]
+
+
 def test_where_the_station_did_not_judge_a_press_nothing_is_learnt(station: Judged) -> None:
     """Of the others everything is; what was archived by a region of another size says nothing of this one."""
     station.say({0: "good", 1: "good", 3: "good"})
-    scar = hide_places(station, station.ids[1], (224, 224))
-    hide_places(station, station.ids[3], (100, 100))
+    scar = hide_places(station, station.ids[1])
+    hide_places(station, station.ids[3], shape=(100, 100))
     confirmed = read_confirmed(station.database, PartPosition("bolt", "default"), "").good
+    places = {one.press.press_id: one.unjudged for one in confirmed}
     names = (*(f"confirmed/{press_id}.jpg" for press_id in station.ids[:4]), "nominal/one.jpg")
     presses = NominalPresses(np.zeros((5, 224, 224, 3), np.uint8), names)
 
-    found = leave_out_places(presses, confirmed).unjudged
+    found = leave_out_places(presses, places).unjudged
 
     assert found is not None
-    assert [bool(places.any()) for places in found] == [False, True, False, False, False]
+    assert [bool(mask.any()) for mask in found] == [False, True, False, False, False]
     np.testing.assert_array_equal(found[1], scar)
-    unscarred = [one for one in confirmed if one.press.press_id != station.ids[1]]
-    assert leave_out_places(presses, unscarred).unjudged is None
-
-
-def hide_places(station: Judged, press_id: str, shape: tuple[int, int]) -> Mask:
-    """Archive a press as if scars of the gel had lain under some places of it."""
-    folder, scar = station.database.with_suffix(".archive"), np.zeros(shape, np.bool_)
-    scar[20:30, 40:60] = True
-    ((evidence,),) = execute(station.database, f"SELECT evidence FROM presses WHERE press_id = '{press_id}'")
-    data = mask_bytes(scar)
-    masked = hashlib.sha256(data).hexdigest()
-    press = ArchiveFolder(folder).press(press_id, evidence)
-    press = press.model_copy(update={"masked": masked, "map_shape": shape})
-    (folder / "objects" / masked).write_bytes(data)
-    (folder / "presses" / f"{press_id}.json").write_bytes(press.encode())
-    changed = f"UPDATE presses SET evidence = x'{press.sha256().hex()}' WHERE press_id = '{press_id}'"
-    execute(station.database, changed)
-    return scar
+    del places[station.ids[1]]
+    assert leave_out_places(presses, places).unjudged is None
 
 
 @pytest.mark.parametrize("found_without", [0.5, 0.1])
@@ -517,6 +516,24 @@ def test_a_press_that_is_gone_from_the_archive_is_named(station: Judged) -> None
     (lost,) = [line for line in done.err.splitlines() if ids[4] in line]
     assert lost.endswith("; whether the new bundle finds this damage is not known")
     assert done.err.count("is not known") == 1
+    assert "9 nominal presses, 1 of them from the station" in done.out
+
+
+def test_a_press_whose_free_gel_is_gone_from_the_archive_holds_up_no_other(station: Judged) -> None:
+    """It cannot be judged again: it is left out by name."""
+    archive, press_id = station.database.with_suffix(".archive"), station.ids[4]
+    record = json.loads((archive / "presses" / f"{press_id}.json").read_text())
+    text = json.dumps(record | {"reference": hashlib.sha256(b"of this press alone").hexdigest()})
+    (archive / "presses" / f"{press_id}.json").write_text(text)
+    evidence = hashlib.sha256(text.encode()).hexdigest()
+    execute(station.database, f"UPDATE presses SET evidence = x'{evidence}' WHERE press_id = '{press_id}'")
+    station.say({0: "good", 4: "damaged"})
+
+    done = learn(station)
+
+    assert done.code == 0, done.err
+    assert f"warning: left out: the free gel of press {press_id} is gone" in done.err
+    assert "whether the new bundle finds this damage is not known" in done.err
     assert "9 nominal presses, 1 of them from the station" in done.out
 
 

@@ -1,5 +1,6 @@
 """A station that has judged a few presses of which people may speak, and its bundle, with the tiny detector."""
 
+import hashlib
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -9,12 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import gelgate
+from sql import execute
 from station import Motion, gel, jpeg, press_recording, station_config
 from stepped_station import SteppedStation
 
 from calibration.fitting.presses import nominal_presses
+from edge.core.arrays import Mask
 from edge.core.imaging.region import Region
 from edge.store.acts import CONFIRM, Act
+from edge.store.press_archive import ArchiveFolder, mask_bytes
 from edge.store.press_store import Store
 
 # The presses lie as they are, with one limit: the choice of another pose and limit is most of the time of a fit.
@@ -124,3 +128,25 @@ def copy_station(inspected: Judged, folder: Path) -> Judged:
     text = inspected.config.read_text().replace('path = "gelgate.db"', f'path = "{folder}/gelgate.db"')
     (folder / "gelgate.toml").write_text(text)
     return replace(inspected, folder=folder)
+
+
+def hide_places(
+    station: Judged,
+    press_id: str,
+    rows: slice = slice(20, 30),
+    columns: slice = slice(40, 60),
+    shape: tuple[int, int] = (224, 224),
+) -> Mask:
+    """Archive a press as if scars of the gel had lain under some places of it."""
+    folder, scar = station.database.with_suffix(".archive"), np.zeros(shape, np.bool_)
+    scar[rows, columns] = True
+    ((evidence,),) = execute(station.database, f"SELECT evidence FROM presses WHERE press_id = '{press_id}'")
+    data = mask_bytes(scar)
+    masked = hashlib.sha256(data).hexdigest()
+    press = ArchiveFolder(folder).press(press_id, evidence)
+    press = press.model_copy(update={"masked": masked, "map_shape": shape})
+    (folder / "objects" / masked).write_bytes(data)
+    (folder / "presses" / f"{press_id}.json").write_bytes(press.encode())
+    changed = f"UPDATE presses SET evidence = x'{press.sha256().hex()}' WHERE press_id = '{press_id}'"
+    execute(station.database, changed)
+    return scar
