@@ -16,6 +16,7 @@ from calibration.fitting.learn import (
     Comparison,
     ConfirmedPresses,
     judge_presses,
+    leave_out_places,
     read_confirmed,
     write_picture,
 )
@@ -36,6 +37,7 @@ from calibration.fitting.trunks import open_trunk
 from edge import registry
 from edge.cli.arguments import add_argument, add_option, flatten
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
+from edge.core.arrays import Mask
 from edge.core.errors import ConfigError, FitError
 from edge.core.part_position import PartPosition
 from edge.core.press import Press
@@ -97,10 +99,13 @@ def teach(given: TeachArguments) -> None:
     confirmed = _read_operation(old, database)
     with tempfile.TemporaryDirectory() as folder:
         lesson = _prepare(given, old, Path(folder), database, confirmed)
+    unjudged = lesson.damaged.unjudged
     for k, name in enumerate(lesson.damaged.names):
         passes = "passes" if k in lesson.missed else "is found already"
+        where = ", without the places at which the station did not judge it"
         typer.echo(
             f"{name} {passes}: score {lesson.scores[k] / old.manifest.threshold.value:.2f} of the limit"
+            f"{where if unjudged is not None and unjudged[k].any() else ''}"
         )
     if not lesson.missed:
         raise FitError("the bundle finds every one of these presses; there is nothing to teach")
@@ -146,13 +151,15 @@ def _read_operation(old: Bundle, database: Path | None) -> ConfirmedPresses:
 def _prepare(
     given: TeachArguments, old: Bundle, folder: Path, database: Path | None, confirmed: ConfirmedPresses
 ) -> Lesson:
-    """Read the nominal and the damaged presses. Errors: FitError for a press that people call good."""
+    """Read the nominal and the damaged presses. Errors: FitError for a press that people call good, or of another
+    part."""
     good = {one.press.press_id: one.describe() for one in confirmed.good}
     if called := [good[one] for one in given.damaged if one in good]:
         raise FitError(
             f"people call {'; '.join(called)} good; say with `confirm_press` that it is damaged first"
         )
-    files = [_write_picture(one, folder, database) for one in given.damaged]
+    pictures = [_write_picture(one, folder, database, old) for one in given.damaged]
+    files = [path for path, _ in pictures]
     nominal = read_again(
         old,
         given.sources,
@@ -162,20 +169,27 @@ def _prepare(
     damaged = read_presses(files, old.profile, old.region, no_contact=given.no_contact)
     archived = {path.name: path.stem for path in files if path.parent == folder}
     damaged = replace(damaged, names=tuple(archived.get(Path(one).name, one) for one in damaged.names))
+    damaged = leave_out_places(damaged, {path.stem: unjudged for path, unjudged in pictures})
     typer.echo(f"{len(damaged)} damaged and {write_count(len(nominal), 'nominal press')}")
     config = configure_again(old, None, given.threads, None)
     return Lesson(old, damaged, nominal, config, datetime.date.today().isoformat())
 
 
-def _write_picture(press: str, folder: Path, database: Path | None) -> Path:
-    """Give a picture's path, that of an archived press after it is written there. Errors: ArchiveError,
-    StoreError."""
+def _write_picture(press: str, folder: Path, database: Path | None, old: Bundle) -> tuple[Path, Mask | None]:
+    """Give a picture's path; that of an archived press after it is written there, with the places at which the station
+    did not judge it. Errors: ArchiveError, StoreError; FitError for a press of another part."""
     if database is None or Path(press).is_file():
-        return Path(press)
+        return Path(press), None
     known, archive = find_press(database, press), ArchiveFolder(database.with_suffix(".archive"))
     then = archive.press(known.press_id, known.evidence)
+    part = PartPosition(old.manifest.part, old.manifest.position)
+    if (then.part, then.position) != part:
+        raise FitError(
+            f"press {then.press_id} is of {then.part}/{then.position}, and the bundle is of {part}; teach the bundle "
+            "of its part"
+        )
     frame = archive.read(then.frame, f"the judged frame of press {known.press_id}")
-    return write_picture(then, frame, folder)
+    return write_picture(then, frame, folder), None if then.masked is None else archive.read_masked(then)
 
 
 def _try_remedies(given: TeachArguments, lesson: Lesson) -> dict[str, Remedy]:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import tiny
 from command_line import Outcome, gelgate
-from confirmed_station import Judged, fit
+from confirmed_station import Judged, fit, hide_places
 from graph_session import open_graph
-from station import gel, jpeg
+from station import gel, jpeg, variant
 from tiny_fit import config
 
 from calibration.fitting.bundle_measurements import score_again
@@ -373,6 +373,25 @@ def test_a_press_that_people_call_good_is_no_damage(station: Judged) -> None:
     done = teach(station, [station.ids[1]], "-c", station.config)
 
     assert f"people call {station.ids[1]} (pass" in done.sentence()
+
+
+def test_a_press_of_another_part_is_no_lesson(station: Judged) -> None:
+    others = variant(station.old, station.folder / "nut", part="nut")
+
+    done = teach(dataclasses.replace(station, old=others), [station.ids[2]], "-c", station.config)
+
+    assert f"press {station.ids[2]} is of bolt/default, and the bundle is of nut/default" in done.sentence()
+
+
+def test_a_damage_that_lay_where_the_station_did_not_judge_is_missed(station: Judged) -> None:
+    """Under a scar of the gel: it passed, whatever the score of its whole picture is."""
+    scar = hide_places(station, station.ids[2], slice(None), slice(None))
+
+    done = teach(station, [station.ids[2]], "-c", station.config)
+
+    assert scar.all()
+    assert f"{station.ids[2]} passes: score 0." in done.out
+    assert "without the places at which the station did not judge it" in done.out
 
 
 def test_a_given_limit_has_no_cost_that_is_known(inspected: Judged, faint: Path, tmp_path: Path) -> None:
