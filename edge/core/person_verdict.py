@@ -3,7 +3,7 @@
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
@@ -145,30 +145,36 @@ class Asked:
 
 
 def choose_questions(
-    presses: Iterable[Asked], answered: Container[str], most: int, new_gel_ns: int | None = None
+    presses: Iterable[Asked],
+    answered: Container[str],
+    most: int,
+    new_gel_ns: int | None = None,
+    answered_today: Collection[str] = (),
 ) -> list[Asked]:
     """Choose the presses that would teach most: closest to the threshold, and of five one pass and one other, drawn.
 
     Without the pass nobody would ever look at a damage that the machine does not see at all, without the other at sound
     parts that all fail by far. They are drawn by their times, so the choice stays the same until something changes.
-    new_gel_ns: since then another gel is mounted, on which the bundle is not proven. Then its presses alone are asked
-    for, drawn whatever their score: those close to a threshold of another gel would be the lowest, and its colours may
-    be refused. Oldest first.
+    answered_today: those of `answered` that count as asked today; what is drawn for a day does not change with each
+    answer. new_gel_ns: since then another gel is mounted, on which the bundle is not proven. Then its presses alone are
+    asked for, drawn whatever their score: those close to a threshold of another gel would be the lowest, and its
+    colours may be refused. Oldest first.
     """
-    open_ = [press for press in presses if press.press_id not in answered]
+    of_day = [one for one in presses if one.press_id not in answered or one.press_id in answered_today]
+    share = (most + len(answered_today)) // 5
     if new_gel_ns is None:
-        open_ = [press for press in open_ if press.score_ratio is not None]
+        of_day = sorted((one for one in of_day if one.score_ratio is not None), key=_draw)
+        passes = [one for one in of_day if one.verdict == "pass"]
+        others = [one for one in of_day if one.verdict != "pass"]
+        drawn = [*passes[:share], *others[:share]]
     else:
-        open_ = [press for press in open_ if press.time_ns >= new_gel_ns]
-    is_drawn = [question for question in open_ if new_gel_ns is not None or question.verdict == "pass"]
-    share = most // 5 if new_gel_ns is None else most
-    drawn = sorted(is_drawn, key=_draw)[:share]
-    if new_gel_ns is None:
-        drawn += sorted((question for question in open_ if question.verdict != "pass"), key=_draw)[:share]
+        of_day = drawn = sorted((one for one in of_day if one.time_ns >= new_gel_ns), key=_draw)
+    drawn = [one for one in drawn if one.press_id not in answered][:most]
     close = sorted(
-        (question for question in open_ if question not in drawn), key=lambda one: (-one.doubt, one.press_id)
+        (one for one in of_day if one.press_id not in answered and one not in drawn),
+        key=lambda one: (-one.doubt, one.press_id),
     )
-    return sorted([*drawn, *close[: max(0, most - len(drawn))]], key=lambda one: one.press_id)
+    return sorted([*drawn, *close[: most - len(drawn)]], key=lambda one: one.press_id)
 
 
 def _draw(one: Asked) -> bytes:

@@ -124,10 +124,12 @@ class PersonVerdicts(PressStage):
 
     def _ask(self, today: date, mounted: Mounted | None) -> None:
         verdicts_by_press = self._read_said()
-        answered = sum(
-            any(local_day(verdict.time_ns) == today for verdict in verdicts)
-            for verdicts in verdicts_by_press.values()
-        )
+        of_today = {
+            press_id
+            for press_id, verdicts in verdicts_by_press.items()
+            if any(local_day(verdict.time_ns) == today for verdict in verdicts)
+        }
+        answered = len(of_today)
         again = self._store.read("reading what is asked again", self._asked_again.read)
         most = max(0, self._per_day - answered)
         again, known = again[:most], {one.press_id for one in again} | verdicts_by_press.keys()
@@ -135,7 +137,8 @@ class PersonVerdicts(PressStage):
         if mounted is not None:  # since when its bundle is used on a gel on which it is not proven
             key = GelBundle(mounted.serial, mounted.gel_id, mounted.bundle_id)
             new_gel_ns = self._store.read("reading the proof on this gel", partial(unproven_since, key=key))
-        questions = [*again, *choose_questions(self._presses, known, most - len(again), new_gel_ns)]
+        left = most - len(again)
+        questions = [*again, *choose_questions(self._presses, known, left, new_gel_ns, of_today)]
         if (answered, questions) != self._shown:
             self._show(answered, questions)
         if mounted is not None:

@@ -111,6 +111,22 @@ def test_the_presses_closest_to_the_threshold_are_asked_for_a_pass_and_another_t
     assert choose_questions(presses, set(), 0) == []
 
 
+@pytest.mark.parametrize("is_pass_first", [True, False])
+def test_the_questions_of_a_day_are_the_same_ones_until_all_are_answered(is_pass_first: bool) -> None:
+    """Ten, two of them drawn passes, in whatever order people answer; the next day has others."""
+    presses = [asked(number, "pass", 0.3 + number / 1000) for number in range(400)]
+    presses += [asked(number, "fail", 1.0 + number / 1000) for number in range(400, 500)]
+    first, today, shown = choose_questions(presses, (), 10), set[str](), set[str]()
+    while questions := choose_questions(presses, today, 10 - len(today), None, today):
+        shown |= {one.press_id for one in questions}
+        far = sorted(questions, key=lambda one: (one.score_ratio or 0) < 0.65)
+        today.add(far[-1 if is_pass_first else 0].press_id)
+
+    assert shown == today == {one.press_id for one in first}
+    assert sum((one.score_ratio or 0) < 0.65 for one in first) == 2
+    assert shown.isdisjoint(one.press_id for one in choose_questions(presses, today, 10))
+
+
 def test_on_a_gel_on_which_nothing_is_proven_its_presses_are_drawn_whatever_their_score() -> None:
     """All fail there, and those close to the threshold are not the usual ones; passes of before are not asked for."""
     old = [asked(n, "pass", 0.99) for n in range(1, 5)]
