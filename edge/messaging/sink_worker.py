@@ -213,9 +213,7 @@ class SinkWorker:
         self._unsaid_ns = 0  # when they were said again, or the first of them was refused
         self._clock = clock
         self._passed = 0  # every row up to this one is settled with this sink
-        self._accepted: int | None = (
-            None  # the last row that the sink accepted; the store may not know it yet
-        )
+        self._accepted: list[OutboxRow] = []  # rows that the sink accepted; the store does not know it yet
         self._is_store_failing = False
         # Rows up to this one waited for the sink, or for this process to start: they are late when they are sent.
         self._late_up_to = outbox.newest()
@@ -227,21 +225,26 @@ class SinkWorker:
         """Send changed state and at most one batch of rows; returns seconds until the next step, 0 for at once.
 
         Never raises a SinkError or a StoreError: both are counted and retried. A SinkError is logged once.
-        While the store refuses, a row that the sink has accepted is not sent again, only acknowledged again.
+        A batch is acknowledged in one transaction: most of the cost is that of a commit. While the store refuses it,
+        nothing that the sink has accepted is sent again, and no row after it is sent.
         """
         has_failed = self._backoff.failures > 0
         try:
             self._say()  # first: the current state needs no store
+            self._acknowledge()
             if has_failed:
                 self._late_up_to = self._outbox.newest()
             if (first := self._refused.offer()) is not None:
                 self._passed = min(self._passed, first - 1)
             rows = self._outbox.pending(self.name, BATCH_ROWS, after=self._passed)
-            for row in rows:
-                self._say()  # `stopped` waits for no picture: the end of a station leaves it two seconds
-                with about_press(_press_id(row.message)):
-                    self._send(row)
-                self._passed = row.row_id
+            try:
+                for row in rows:
+                    self._say()  # `stopped` waits for no picture: the end of a station leaves it two seconds
+                    with about_press(_press_id(row.message)):
+                        self._send(row)
+                    self._passed = row.row_id
+            finally:
+                self._acknowledge()
         except SinkError as error:
             return self._note_failure(error)
         except StoreError as error:
@@ -274,33 +277,35 @@ class SinkWorker:
     def _send(self, row: OutboxRow) -> None:
         if self._was_slow:
             self._late_up_to, self._was_slow = self._outbox.newest(), False
-        # An accepted row waits only for its acknowledgement: a full disk is no reason to send it again.
-        if row.row_id != self._accepted:
-            if row.message.retain:
-                self._retained_state.doubt(row.message.topic, row.row_id)
-            try:
-                is_late = row.row_id <= self._late_up_to or self._refused.is_offered(row)
-                self._deliver(as_replayed(row.message) if is_late else row.message)
-            except SinkRejected as error:
-                self._set_aside(row, str(error))
-                return
-            except (SinkError, StoreError):
+        if row.message.retain:
+            self._retained_state.doubt(row.message.topic, row.row_id)
+        try:
+            is_late = row.row_id <= self._late_up_to or self._refused.is_offered(row)
+            self._deliver(as_replayed(row.message) if is_late else row.message)
+        except SinkRejected as error:
+            self._set_aside(row, str(error))
+            return
+        except (SinkError, StoreError):
+            raise
+        except Exception as error:
+            if not self._refused.is_damaged(row):
                 raise
-            except Exception as error:
-                if not self._refused.is_damaged(row):
-                    raise
-                self._set_aside(
-                    row, f"it cannot be sent ({type(error).__name__}: {error}); it may be damaged"
-                )
-                return
-            self._accepted = row.row_id
+            self._set_aside(row, f"it cannot be sent ({type(error).__name__}: {error}); it may be damaged")
+            return
+        self._accepted.append(row)
         if row.message.retain:
             self._retained_state.remember(row.message, row.row_id)
-        self._outbox.acknowledge(row.row_id, self.name)
         self._refuses.discard(kind_of(row.message))
         self._refused.accept(row)
+
+    def _acknowledge(self) -> None:
+        """Acknowledge what the sink has accepted. Errors: StoreError; then it waits for the next step."""
+        if not self._accepted:
+            return
+        self._outbox.acknowledge([row.row_id for row in self._accepted], self.name)
+        self.counters = replace(self.counters, sent=self.counters.sent + len(self._accepted))
+        self._accepted.clear()
         self._note_stored()
-        self.counters = replace(self.counters, sent=self.counters.sent + 1)
 
     def _set_aside(self, row: OutboxRow, why: str) -> None:
         self._refused.set_aside(row, why)

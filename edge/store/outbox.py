@@ -237,15 +237,16 @@ class Outbox:
             for row_id, topic, payload, qos, retain, content_type, expiry in rows
         ]
 
-    def acknowledge(self, row_id: int, sink: str) -> None:
-        """This sink has the row; it leaves the outbox when all sinks have it. Harmless when repeated."""
+    def acknowledge(self, row_ids: Iterable[int], sink: str) -> None:
+        """This sink has these rows; each leaves the outbox when all sinks have it. Harmless when repeated."""
         with self._database.writing("acknowledging") as connection:
-            self._settle(connection, row_id, sink, None)
-            connection.execute(
-                "DELETE FROM outbox WHERE row_id = ? AND NOT EXISTS (SELECT 1 FROM sinks WHERE name NOT IN "
-                "(SELECT sink FROM settled WHERE row_id = ? AND refusal IS NULL))",
-                (row_id, row_id),
-            )
+            for row_id in row_ids:
+                self._settle(connection, row_id, sink, None)
+                connection.execute(
+                    "DELETE FROM outbox WHERE row_id = ? AND NOT EXISTS (SELECT 1 FROM sinks WHERE name NOT IN "
+                    "(SELECT sink FROM settled WHERE row_id = ? AND refusal IS NULL))",
+                    (row_id, row_id),
+                )
 
     def refuse(self, row_id: int, sink: str, why: str) -> None:
         """This sink refuses the row: it is kept and not sent until `offer_refused`, or dropped by the limits."""

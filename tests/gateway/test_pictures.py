@@ -99,7 +99,7 @@ def test_the_retained_picture_changes_once_a_press_and_after_it(store: Store, pa
                 if row.message.topic == "last/heatmap":
                     changes.append(row.message.payload)
                     assert json.loads(kept["last/press"])["press_id"].encode() in row.message.payload
-                opened.acknowledge(row.row_id, "mqtt")
+                opened.acknowledge([row.row_id], "mqtt")
 
     record_all(0)
     send()

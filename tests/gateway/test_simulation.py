@@ -117,7 +117,7 @@ def plant(monkeypatch: pytest.MonkeyPatch) -> None:
     send = SinkWorker._send
 
     def acknowledge_first(worker: SinkWorker, row: object) -> None:
-        worker._outbox.acknowledge(row.row_id, worker.name)  # type: ignore[attr-defined]
+        worker._outbox.acknowledge([row.row_id], worker.name)  # type: ignore[attr-defined]
         send(worker, row)  # type: ignore[arg-type]
 
     monkeypatch.setattr(SinkWorker, "_send", acknowledge_first)

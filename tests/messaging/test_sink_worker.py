@@ -2,7 +2,7 @@
 
 import json
 import random
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -71,10 +71,10 @@ class FullOutbox(Outbox):
 
     is_full = False
 
-    def acknowledge(self, row_id: int, sink: str) -> None:
+    def acknowledge(self, row_ids: Iterable[int], sink: str) -> None:
         if self.is_full:
             raise StoreError("database or disk is full")
-        super().acknowledge(row_id, sink)
+        super().acknowledge(row_ids, sink)
 
 
 def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
@@ -82,7 +82,7 @@ def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
 ) -> None:
     """Acknowledgements that find no room are stored later; the pauses grow, one log line, and the state is reported.
     Without the memory of accepted rows, a result was sent again at every attempt while the disk was full. What comes
-    after it is not late."""
+    after them is not late."""
     sink, retained_state = ScriptedSink(), RetainedState()
     with FullOutbox(path) as outbox:
         outbox.register(["mqtt"])
@@ -93,7 +93,7 @@ def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
         retained_state.announce(StatePayload(time_ns=1, state="halted", reason="full").message())
         one.step()
 
-        assert len(sink.results()) == 1
+        assert len(sink.results()) == 2
         assert sink.topics()[-1] == "state"
         assert pauses[-1] > 10 * pauses[0]
         assert [line.levelname for line in caplog.records if line.levelname != "INFO"] == ["ERROR"]
@@ -188,6 +188,20 @@ def test_a_lost_acknowledgement_is_a_press_twice(store: Store, outbox: Outbox, s
 
     first, second = sink.results()
     assert {**first, "is_replayed": True} == second
+
+
+def test_what_was_accepted_before_a_failure_is_acknowledged(
+    store: Store, outbox: Outbox, sink: ScriptedSink
+) -> None:
+    """In one transaction, with the step that sent it; what failed waits, and all after it."""
+    one = worker(outbox, sink)
+    record(store, make_press(1))
+    rows = [row.message.topic for row in outbox.pending("mqtt")]
+    sink.loses_acknowledgements_of = "last/press"
+    one.step()
+
+    assert [row.message.topic for row in outbox.pending("mqtt")] == rows[rows.index("last/press") :]
+    assert one.counters.sent == rows.index("last/press") > 1
 
 
 def test_a_refused_row_does_not_block_the_queue(store: Store, outbox: Outbox, sink: ScriptedSink) -> None:

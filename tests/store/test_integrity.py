@@ -25,7 +25,7 @@ def used(path: Path) -> Path:
             if n == 2:
                 store.replace_gel(SERIAL, 0)
         first, second = outbox.pending("mqtt", 2)
-        outbox.acknowledge(first.row_id, "mqtt")
+        outbox.acknowledge([first.row_id], "mqtt")
         outbox.refuse(second.row_id, "mqtt", "denied")
     return path
 

@@ -41,10 +41,10 @@ def test_a_row_leaves_when_every_sink_has_it(store: Store, outbox: Outbox) -> No
     outbox.register(["mqtt", "jsonl"])
     put(store, make_press(1), Message("result", b"1"))
 
-    outbox.acknowledge(1, "mqtt")
+    outbox.acknowledge([1], "mqtt")
     assert (topics(outbox, "mqtt"), topics(outbox, "jsonl")) == ([], ["result"])
 
-    outbox.acknowledge(1, "jsonl")
+    outbox.acknowledge([1], "jsonl")
     assert outbox.status().rows == 0
 
 
@@ -53,7 +53,7 @@ def test_a_sink_taken_out_of_the_configuration_holds_nothing_back(store: Store, 
     outbox.register(["mqtt", "jsonl"])
     put(store, make_press(1), Message("result", b"1"))
     put(store, make_press(2), Message("result", b"2"))
-    outbox.acknowledge(1, "mqtt")
+    outbox.acknowledge([1], "mqtt")
 
     outbox.register(["mqtt"])
 
@@ -66,8 +66,8 @@ def test_acknowledging_twice_or_late_is_harmless(store: Store, outbox: Outbox) -
     put(store, make_press(1), Message("result", b"1"))
 
     for _ in range(2):
-        outbox.acknowledge(1, "mqtt")
-    outbox.acknowledge(77, "mqtt")
+        outbox.acknowledge([1], "mqtt")
+    outbox.acknowledge([77], "mqtt")
 
     with outbox._database.reading("test") as connection:
         assert connection.execute("SELECT count(*) FROM settled").fetchone() == (0,)
@@ -104,7 +104,7 @@ def test_a_refused_retained_message_never_overtakes_a_newer_one(store: Store, ou
     put(store, make_press(1), Message("last", b"1", retain=True))
     outbox.refuse(1, "mqtt", "not authorized")
     put(store, make_press(2), Message("last", b"2", retain=True))
-    outbox.acknowledge(2, "mqtt")
+    outbox.acknowledge([2], "mqtt")
 
     outbox.offer_refused("mqtt")
 
@@ -114,7 +114,7 @@ def test_a_refused_retained_message_never_overtakes_a_newer_one(store: Store, ou
 def test_row_ids_are_never_used_again(store: Store, outbox: Outbox) -> None:
     """An empty outbox goes on counting, so `after` and the late mark keep their meaning."""
     put(store, make_press(1), Message("result", b"1"))
-    outbox.acknowledge(1, "mqtt")
+    outbox.acknowledge([1], "mqtt")
     put(store, make_press(2), Message("result", b"2"))
 
     assert [row.row_id for row in outbox.pending("mqtt", after=1)] == [2]
@@ -182,7 +182,7 @@ def test_the_counted_size_is_that_of_the_rows(store: Store, outbox: Outbox) -> N
     for n in range(20):
         store.record_press(make_press(n), messages_of(make_press(n), 500 + n))
     for row in outbox.pending("mqtt", 7):
-        outbox.acknowledge(row.row_id, "mqtt")
+        outbox.acknowledge([row.row_id], "mqtt")
 
     with outbox._database.reading("test") as connection:
         expected = connection.execute(

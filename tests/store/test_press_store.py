@@ -204,7 +204,7 @@ def test_a_writer_and_a_publisher_work_at_the_same_time(store: Store, path: Path
             while not done.is_set():
                 for row in outbox.pending("mqtt"):
                     seen.append(row.row_id)
-                    outbox.acknowledge(row.row_id, "mqtt")
+                    outbox.acknowledge([row.row_id], "mqtt")
 
     publisher = threading.Thread(target=publish)
     publisher.start()
@@ -297,7 +297,7 @@ def test_the_journal_stays_small(store: Store, path: Path, acknowledges: bool, m
         for n in range(40):
             store.record_press(make_press(n), messages_of(make_press(n), 1_000_000))
             for row in outbox.pending("mqtt") if acknowledges else ():
-                outbox.acknowledge(row.row_id, "mqtt")
+                outbox.acknowledge([row.row_id], "mqtt")
             most = max(most, journal.stat().st_size)
     assert most < most_mib << 20
 

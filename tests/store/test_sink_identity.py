@@ -30,7 +30,7 @@ def test_the_order_of_two_receivers_may_change(path: Path) -> None:
     with Outbox(path) as outbox:
         outbox.register([A, B])
         for row in outbox.pending(A):
-            outbox.acknowledge(row.row_id, A)
+            outbox.acknowledge([row.row_id], A)
         outbox.register([B, A])
 
     assert (waiting(path, A), waiting(path, B)) == (0, 7)
@@ -41,7 +41,7 @@ def test_a_receiver_that_is_absent_for_a_while_gets_nothing_twice(path: Path) ->
     record(path, 3)
     with Outbox(path) as outbox:
         outbox.register([A, B])
-        outbox.acknowledge(1, A)
+        outbox.acknowledge([1], A)
         outbox.register([B])
         outbox.register([A, B])
 
@@ -58,7 +58,7 @@ def test_names_by_position_are_taken_over_where_clear(path: Path, names: list[st
     record(path, 3)
     with Outbox(path) as outbox:
         outbox.register([*names, B])
-        outbox.acknowledge(1, "mqtt")
+        outbox.acknowledge([1], "mqtt")
         outbox.register([A, B], before={"mqtt": A})
 
     assert (waiting(path, A), waiting(path, B)) == (at_a, 3)

@@ -106,7 +106,7 @@ class StationFiles:
         for row in self.outbox.pending("file", 1000):
             self.sink.send(row.message)
             yield row.row_id
-            self.outbox.acknowledge(row.row_id, "file")
+            self.outbox.acknowledge([row.row_id], "file")
 
     def close(self) -> None:
         self.outbox.close()

@@ -32,8 +32,8 @@ BUGS = (
     Bug(
         "deleted before it is acknowledged",
         "edge/messaging/sink_worker.py",
-        "        if row.row_id != self._accepted:\n",
-        "        self._outbox.acknowledge(row.row_id, self.name)\n        if row.row_id != self._accepted:\n",
+        "        if self._was_slow:\n",
+        "        self._outbox.acknowledge([row.row_id], self.name)\n        if self._was_slow:\n",
         "results lack|have no picture message",
     ),
     Bug(

@@ -16,12 +16,12 @@ BY_OTHERS = (
     Bug(
         "a row that failed is skipped",
         "edge/messaging/sink_worker.py",
-        "                with about_press(_press_id(row.message)):\n"
-        "                    self._send(row)\n"
-        "                self._passed = row.row_id\n",
-        "                self._passed = row.row_id\n"
-        "                with about_press(_press_id(row.message)):\n"
-        "                    self._send(row)\n",
+        "                    with about_press(_press_id(row.message)):\n"
+        "                        self._send(row)\n"
+        "                    self._passed = row.row_id\n",
+        "                    self._passed = row.row_id\n"
+        "                    with about_press(_press_id(row.message)):\n"
+        "                        self._send(row)\n",
         "messages still wait|another order|results lack",
     ),
     # mqtt.md: `state`, `alarm` are the current ones: halted, then ready again as at the birth, is not
@@ -152,8 +152,8 @@ BY_OTHERS = (
     Bug(
         "a late result is not marked",
         "edge/messaging/sink_worker.py",
-        "                self._deliver(as_replayed(row.message) if is_late else row.message)\n",
-        "                self._deliver(row.message)\n",
+        "            self._deliver(as_replayed(row.message) if is_late else row.message)\n",
+        "            self._deliver(row.message)\n",
         "came late",
     ),
     Bug(
