@@ -14,7 +14,7 @@ import ssl
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Final, Self
 
 import paho.mqtt.client as paho
@@ -282,15 +282,7 @@ class Connection:
     def _properties(self, message: Message, packet: int = PacketTypes.PUBLISH) -> Properties | None:
         if self.level != "5":
             return None
-        properties = Properties(packet)  # type: ignore[no-untyped-call]
-        if message.content_type:
-            properties.ContentType = message.content_type
-            properties.PayloadFormatIndicator = int(message.content_type == "application/json")
-        if message.expiry_s is not None:
-            properties.MessageExpiryInterval = message.expiry_s
-        if message.correlation is not None:
-            properties.CorrelationData = message.correlation
-        return properties
+        return _make_properties(packet, message.content_type, message.expiry_s, message.correlation)
 
     def _answer(self, mid: int, what: str) -> ReasonCode | None:
         self._await(lambda: mid in self._answers or self._is_lost, self.broker.timeout_s)
@@ -383,3 +375,19 @@ class Connection:
             )
         except Exception:
             log.exception("a message from broker %s failed here, and is left out", self.broker)
+
+
+@lru_cache(maxsize=16)
+def _make_properties(
+    packet: int, content_type: str, expiry_s: int | None, correlation: bytes | None
+) -> Properties:
+    """Make what a message says besides its payload. The library reads it only, and takes long to make it."""
+    properties = Properties(packet)  # type: ignore[no-untyped-call]
+    if content_type:
+        properties.ContentType = content_type
+        properties.PayloadFormatIndicator = int(content_type == "application/json")
+    if expiry_s is not None:
+        properties.MessageExpiryInterval = expiry_s
+    if correlation is not None:
+        properties.CorrelationData = correlation
+    return properties
