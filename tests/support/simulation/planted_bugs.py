@@ -358,8 +358,8 @@ BUGS = (
     Bug(
         "a damaged part that has passed is not said",
         "edge/features/person_verdicts.py",
-        'if word and word.saying == "damaged"]',
-        'if word and word.saying == "lost"]',
+        "if is_called_damaged(words)]",
+        "if is_called_damaged(words[:0])]",
         "a person calls it damaged, and no alarm says so",
     ),
     Bug(
