@@ -142,6 +142,10 @@ class MqttSink:
             if not (connection.is_up or self._closing.is_set()):
                 self._strikes.lost(message, connection, error)
             raise
+        except SinkRejected as error:
+            if any(own.topic == message.topic for own in self._station.birth()):
+                self._refused[message.topic] = str(error)
+            raise
         self._strikes.delivered(message)
         self._refused.pop(message.topic, None)
 
@@ -173,9 +177,7 @@ class MqttSink:
         self._lost = threading.Event()
         try:
             connection = self._connect(self._lost)
-        except (
-            Exception
-        ) as error:  # the thread's outermost level: otherwise the sink would stay down for ever
+        except Exception as error:  # the thread's outermost level: else the sink would stay down for ever
             if not isinstance(error, SinkError):
                 log.exception("connecting to broker %s failed with an unexpected error", self._broker)
             if isinstance(error, LevelRefused):

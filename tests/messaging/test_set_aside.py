@@ -115,6 +115,27 @@ def test_a_denied_retained_topic_stops_nothing_else(scripted: ScriptedBroker, st
     assert scripted.published[-1] == (f"{ROOT}/state", STATE.payload)
 
 
+def test_a_retained_topic_that_is_denied_later_is_reported_too(
+    scripted: ScriptedBroker, stepped: Stepped
+) -> None:
+    """The broker's rules change during a connection: what it retains is not so any more. A result waits in the outbox,
+    which has an alarm of its own."""
+    sink, halted = stepped(scripted, STATE), replace(STATE, payload=b"halted")
+    assert sink.step() is None
+
+    scripted.topics = {"state": "deny", "result": "deny"}
+    for message in (RESULT, halted):
+        with pytest.raises(SinkRejected, match="Not authorized"):
+            sink.send(message)
+    (fault,) = sink.faults
+    assert "1 of the station's own messages are refused" in fault
+    assert "state: Not authorized" in fault
+
+    scripted.topics = {}
+    sink.send(halted)
+    assert sink.faults == []
+
+
 @pytest.mark.parametrize("protocol", ["5", "3.1.1"])
 def test_a_denied_subscription_to_commands_is_reported_and_results_pass(
     scripted: ScriptedBroker, stepped: Stepped, protocol: str, caplog: pytest.LogCaptureFixture
