@@ -133,6 +133,7 @@ def _plan_fit(presses: NominalPresses, config: FitConfig) -> _Plan:
         folds, few_pieces = divide_presses(presses.specimens, config.folds, rng, fewest, presses.film)
     sentences += [
         *(few_pieces or measuring.rate_warnings(presses.specimens, promised)),
+        *(self_check.drift_warnings(presses, config.profile) if promised else ()),
         *colour_warnings(colours),
     ]
     return replace(plan, folds=folds, fewest=fewest, warnings=sentences)

@@ -5,16 +5,19 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import tiny_fit
 import turned_parts as parts
 from registered_bundle import fitted, nominal
 
 from calibration.fitting.damage.damaged_presses import DamagedPresses
+from calibration.fitting.fit import fit_files
 from calibration.fitting.limits.held_out import HeldOut, ScoredPresses
 from calibration.fitting.limits.limit_choice import DamageFound, Evidence, choose_limit
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.self_check import (
     apart_warnings,
     damage_facts,
+    drift_warnings,
     find_remedies,
     standing_apart,
     unproven_warnings,
@@ -174,3 +177,56 @@ def test_a_bundle_into_whose_presses_no_damage_could_be_rendered_is_not_proven()
     assert few.startswith("not proven: nothing shows what damage the bundle finds: of fewer than 4 presses")
     asked = fitted(nominal(frames, no_contact=None), limit="plain").manifest.provenance.warnings
     assert not any(said.startswith("not proven") for said in asked)
+
+
+def pressed_at(
+    places: np.ndarray, names: list[str] | None = None, pieces: list[str] | None = None
+) -> list[str]:
+    """Say what is warned of presses at these places of the view, in shares of it, (n, 2)."""
+    touches = tuple(Touch(0.1, *place) for place in places.tolist())
+    in_order = tuple(names or [f"{k}.png" for k in range(len(places))])
+    frames = np.zeros((len(places), 2, 2, 3), np.uint8)
+    own = NominalPresses(frames, in_order, tuple(pieces or ()), touches=touches)
+    return drift_warnings(own, known_profiles.profile("cropped_lr"))
+
+
+# As a person presses a ball: column by column, from one side of the view to the other.
+COLUMNS = np.array([(x, y) for x in np.linspace(0.1, 0.9, 6) for y in np.linspace(0.1, 0.9, 8)])
+
+
+@pytest.mark.parametrize("count", [4, 6, 8, 12, 20])
+def test_presses_each_beside_the_one_before_are_not_proven(count: int) -> None:
+    """The first ones of 48, also where names sort otherwise than their numbers; not such as are drawn by chance."""
+    (said,) = pressed_at(COLUMNS[:count])
+    assert said.startswith("not proven: each contact lies beside the one before it, all within ")
+    assert "set the part down anew before each press" in said
+    by_name = sorted(range(count), key=str)
+    assert pressed_at(COLUMNS[by_name], [f"{k}.png" for k in by_name]) == [said]
+    drawn = [np.random.default_rng(seed).permutation(len(COLUMNS))[:count] for seed in range(200)]
+    assert np.mean([bool(pressed_at(COLUMNS[rows])) for rows in drawn]) <= 0.03
+
+
+def test_presses_that_spread_are_not_said_to_drift() -> None:
+    """All of the view; a fixture; a hand; each of six pieces pressed four times; three presses; no free gel."""
+    rng = np.random.default_rng(0)
+    assert not pressed_at(COLUMNS)
+    assert not pressed_at(0.5 + 0.01 * COLUMNS[:12])
+    hand = [bool(pressed_at(0.5 + rng.normal(0, 0.06, (4, 2)))) for _ in range(1000)]
+    assert np.mean(hand) <= 0.03
+    places = np.array([(0.4, 0.6), (0.6, 0.5), (0.4, 0.4), (0.6, 0.6), (0.5, 0.4), (0.4, 0.5)])
+    again = np.repeat(places, 4, axis=0)
+    assert not pressed_at(again, pieces=[f"{k // 4}" for k in range(24)])
+    assert pressed_at(again)
+    assert not pressed_at(COLUMNS[:3])
+    assert not drift_warnings(tiny_fit.presses(6), known_profiles.profile("cropped_lr"))
+
+
+def test_a_fit_says_that_its_presses_drift() -> None:
+    """First, and not where the threshold is given: then no rate is promised."""
+    touches = tuple(Touch(0.1, 0.5, down) for down in np.linspace(0, 1, 6).tolist())
+    for threshold, is_said in ((None, True), (3.0, False)):
+        given = replace(tiny_fit.config(), threshold=threshold)
+        warnings = fit_files(
+            tiny_fit.presses(6, touches=touches), given, created=""
+        ).manifest.provenance.warnings
+        assert any("each contact lies beside the one before it" in said for said in warnings[:2]) is is_said

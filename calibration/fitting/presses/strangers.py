@@ -265,7 +265,7 @@ def find_pieces(
 
 def _find_film(names: Sequence[str], views: Sequence[U8]) -> tuple[int, ...]:
     """Return the presses in the order of their numbers where each resembles the next one; none where they do not."""
-    order = sorted(range(len(names)), key=lambda k: _split_numbers(names[k]))
+    order = sorted(range(len(names)), key=lambda k: split_numbers(names[k]))
     if len(order) < _FEWEST_FRAMES:
         return ()
     broad = np.stack(_blur([views[k] for k in order[:_MOST_FRAMES]]))
@@ -282,7 +282,8 @@ def _find_film(names: Sequence[str], views: Sequence[U8]) -> tuple[int, ...]:
     return tuple(order) if is_film else ()
 
 
-def _split_numbers(name: str) -> list[tuple[int, str]]:
+def split_numbers(name: str) -> list[tuple[int, str]]:
+    """Split a name so that names sort by their numbers: press 9 before press 10."""
     parts = re.findall(r"\d+|\D+", name)
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
 
