@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final, Self
@@ -27,7 +27,7 @@ from edge.store.gel_ledger import GelRecord
 from edge.store.gel_proofs import GelBundle, unproven_since
 from edge.store.person_verdicts import ask_again
 from edge.store.press_archive import ArchiveFolder
-from edge.store.shadow_verdicts import Unjudged, read_judged_twice, read_learnt
+from edge.store.shadow_verdicts import Unjudged, read_good_passes, read_judged_twice, read_learnt
 
 __all__ = ["MOST_S", "Shadow"]
 
@@ -36,6 +36,10 @@ log = logging.getLogger(__name__)
 MOST_S: Final = 1.0
 """What a shadow may take, or as long as the score of the bundle in use: verdicts wait for it."""
 
+
+MOST_GOOD_PASSES: Final = 50
+"""Good presses of before the shadow that the bundle in use passed, the newest, of which the shadow must fail none more:
+some seconds."""
 
 WEIGHED_EVERY_S: Final = 600.0
 """A shadow that may take over by itself is weighed after a press, so often at most."""
@@ -234,9 +238,16 @@ class Shadow(PressStage):
                 and unproven_since(connection, GelBundle(*self._gel, in_use)) is not None
             )
             is_new_gel = is_unproven and len(of_gel) >= LEAST_ON_NEW_GEL
-            both, missing = read_judged_twice(
-                connection, part, other, in_use, of_gel if is_new_gel else learnt
-            )
+            passes: Collection[str] = ()
+            if self._gel is not None and not is_new_gel:
+                passes = read_good_passes(connection, part, self._gel, MOST_GOOD_PASSES)
+            good = of_gel if is_new_gel else {*learnt, *passes}
+            both, missing = read_judged_twice(connection, part, other, in_use, good)
+        missing = [
+            press
+            for press in missing
+            if is_new_gel or press.was_damaged or press.verdict != "pass" or press.press_id in passes
+        ]
         more, unknown = self._judge_missing(missing, shadow, None if is_new_gel else in_use)
         return Weighing([*both, *more], unknown, is_new_gel=is_new_gel)
 
@@ -252,10 +263,10 @@ class Shadow(PressStage):
         self._exchange = exchange
 
     def _judge_missing(
-        self, missing: list[Unjudged], shadow: Inspector, failed_by: str | None
+        self, missing: list[Unjudged], shadow: Inspector, judged_by: str | None
     ) -> tuple[list[JudgedTwice], list[str]]:
-        """Judge presses of before the shadow from the archive; return what damage is gone as sentences. failed_by: of
-        good ones only those that this bundle did not pass."""
+        """Judge presses of before the shadow from the archive; return what damage is gone as sentences. judged_by: of
+        good ones only those that this bundle judged, and not those that both pass."""
         from edge.features.black_box.replay import judge_as_then  # few stations have such damage
 
         archive = ArchiveFolder(self._store.path.with_suffix(".archive"))
@@ -264,14 +275,17 @@ class Shadow(PressStage):
         for missing_press in missing:
             try:
                 press = archive.press(missing_press.press_id, missing_press.evidence)
-                has_failed = missing_press.verdict != "pass" and press.bundle_id == failed_by
-                if failed_by is not None and not missing_press.was_damaged and not has_failed:
+                is_kept = judged_by is None or missing_press.was_damaged
+                if not is_kept and press.bundle_id != judged_by:
                     continue
                 # The loop scores with the other one.
                 inspector = inspector or Inspector(shadow.scorer.copy(), self._clock)
                 now = judge_as_then(press, archive, inspector)
                 words = missing_press.saying, missing_press.was_damaged
-                judged.append(JudgedTwice(missing_press.press_id, missing_press.verdict, now.word, *words))
+                if is_kept or (missing_press.verdict, now.word) != ("pass", "pass"):
+                    judged.append(
+                        JudgedTwice(missing_press.press_id, missing_press.verdict, now.word, *words)
+                    )
             except ArchiveError as error:
                 if missing_press.was_damaged:
                     unknown.append(

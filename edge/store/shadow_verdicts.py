@@ -3,6 +3,7 @@
 Functions that take a connection run inside the caller's transaction.
 """
 
+import json
 import sqlite3
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import PurePath
@@ -13,12 +14,12 @@ from edge.core.person_verdict import PersonVerdict, settle
 from edge.core.shadow import JudgedTwice
 from edge.store.person_verdicts import read_verdicts
 
-__all__ = ["Unjudged", "read_judged_twice", "read_learnt"]
+__all__ = ["Unjudged", "read_good_passes", "read_judged_twice", "read_learnt"]
 
 
 class Unjudged(NamedTuple):
-    """A press that somebody called damaged, or a good one that the shadow has learnt, and that it has not judged.
-    saying: what holds of it now."""
+    """A press that somebody called damaged, or that people call good, and that the shadow has not judged. saying: what
+    holds of it now."""
 
     press_id: str
     verdict: str
@@ -27,15 +28,28 @@ class Unjudged(NamedTuple):
     was_damaged: bool = True
 
 
+def read_good_passes(
+    connection: sqlite3.Connection, part: PartPosition, gel: tuple[str, str], most: int
+) -> list[str]:
+    """Read the newest presses of a part on a gel that passed and that people call good, or the gel. gel: serial and
+    id."""
+    good = [key for key, words in read_verdicts(connection).items() if _settle(words) in ("good", "gel")]
+    query = (
+        "SELECT press_id FROM presses WHERE part = ? AND position IS ? AND serial = ? AND gel_id = ? AND "
+        "verdict = 'pass' AND press_id IN (SELECT value FROM json_each(?)) ORDER BY number DESC LIMIT ?"
+    )
+    return [key for (key,) in connection.execute(query, (*part, *gel, json.dumps(good), most))]
+
+
 def read_judged_twice(
     connection: sqlite3.Connection,
     part: PartPosition,
     bundle_id: str,
     beside: str,
-    learnt: Collection[str] = (),
+    good: Collection[str] = (),
 ) -> tuple[list[JudgedTwice], list[Unjudged]]:
     """Read the presses that a shadow has judged beside a bundle, oldest first, and those of the same part that it has
-    not, of damage and of these that it has learnt."""
+    not, of damage and of these good ones."""
     verdicts = read_verdicts(connection)
     damaged = {key for key, words in verdicts.items() if any(word.saying == "damaged" for word in words)}
 
@@ -53,7 +67,7 @@ def read_judged_twice(
         list[Unjudged](),
         "SELECT part, position, verdict, evidence FROM presses WHERE press_id = ?",
     )
-    for press_id in sorted((damaged | set(learnt)) - {one.press_id for one in both}):
+    for press_id in sorted((damaged | set(good)) - {one.press_id for one in both}):
         row = connection.execute(query, (press_id,)).fetchone()
         if row is None:  # older than the history, so its part is not known either
             missing.append(Unjudged(press_id, "", None, settled(press_id), press_id in damaged))

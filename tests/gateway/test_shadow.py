@@ -10,6 +10,7 @@ from unittest.mock import Mock
 import pytest
 from command_line import gelgate
 from shadow_station import FIVE, Shadowed, adopt, restore
+from sql import execute
 from station import Motion, press_recording, variant
 from stepped_station import SteppedStation
 
@@ -372,6 +373,27 @@ def test_a_shadow_that_cures_alarms_need_not_wait(shadowed: Shadowed, tmp_path: 
     assert "both have judged 4 presses, at least 100 are needed" in waits
     assert "both have judged 0 presses, at least 100 are needed" in of_another
     assert taken.startswith("5 presses judged by both: 0 pass the bundle in use alone, 5 the shadow alone")
+
+
+def test_good_presses_of_before_the_shadow_that_passed_are_judged_from_the_archive(
+    shadowed: Shadowed, tmp_path: Path, bundle: Path, few: None
+) -> None:
+    """One that fails them may not take over; what another gel shows comes no more."""
+    strict = variant(bundle, tmp_path / "strict", revision=2, threshold=FIVE | {"value": 1e-9})
+    with SteppedStation(shadowed(bundle)) as station:
+        station.play_presses(2)
+        say(station, {0: "good", 1: "gel"})
+        ids = [one.press_id for one in station.results]
+    with SteppedStation(shadowed(bundle, strict)) as later:
+        later.play_presses(1)
+        with pytest.raises(
+            ValueError, match="2 instead of 0 of the 2 presses that people call good"
+        ) as refused:
+            adopt(later)
+        execute(later.parts.store.path, "UPDATE presses SET gel_id = 'earlier' WHERE number <= 2")
+        assert adopt(later)["why"].startswith("1 press judged by both: 1 pass the bundle in use alone")
+
+    assert f"do not pass it: {', '.join(sorted(ids))}; the station asks once more" in str(refused.value)
 
 
 def test_known_damage_of_before_the_shadow_is_judged_from_the_archive(
