@@ -1,9 +1,11 @@
 """A copy made while a gateway runs: complete, of one moment, and alone in its file."""
 
+import os
 import shutil
 import sqlite3
 import subprocess
 import sys
+import time
 from contextlib import closing
 from fnmatch import fnmatch
 from pathlib import Path
@@ -14,7 +16,7 @@ from recorded_presses import count, make_press, record
 
 from edge.core.errors import StoreError
 from edge.store import backup, database
-from edge.store.backup import back_up, backups_in, migrate
+from edge.store.backup import back_up, backups_in, find_leftovers, migrate
 from edge.store.database import MIGRATIONS, SCHEMA_VERSION, open_read_only, schema_version
 from edge.store.integrity import check_database
 from edge.store.press_store import Store
@@ -89,11 +91,16 @@ def test_in_a_folder_the_time_is_in_the_name(store: Store, path: Path, tmp_path:
     for name in ("gelgate-mine.db", "gelgate-20200101T000000Z.db"):
         shutil.copy(copy, tmp_path / "kept" / name)
     back_up(tmp_path / "other" / "gelgate.db", tmp_path / "kept" / "gelgate-20200102T000000Z.db")
+    left = {hours: copy.with_name(f"{copy.name}.{hours}.part") for hours in (23, 25)}
+    for hours, part in left.items():
+        part.touch()
+        os.utime(part, (0, time.time() - hours * 3600))
 
     assert [one.name for one in backups_in(tmp_path / "kept", path)] == [
         "gelgate-20200101T000000Z.db",
         copy.name,
     ]
+    assert find_leftovers(tmp_path / "kept", path) == [left[25]]
 
 
 def test_a_disk_without_room_is_refused_before_the_copy(

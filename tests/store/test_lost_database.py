@@ -182,6 +182,23 @@ def test_the_second_record_is_written_in_place(path: Path) -> None:
     assert counts.read()[SERIAL].presses == 19
 
 
+def test_a_second_record_that_cannot_be_written_is_said_once(
+    path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Presses are recorded without it. Once it can be written it has them all, and a further failure is said again."""
+    counts = PressCounts(path)
+    with Store(path) as store:
+        for number in (1, 5):
+            counts.path.unlink(missing_ok=True)
+            counts.path.mkdir()
+            for press in range(number, number + 3):
+                count(store, make_press(press))
+            counts.path.rmdir()
+            count(store, make_press(number + 3))
+            assert counts.read()[SERIAL].presses == number + 3
+    assert caplog.text.count("are not kept: Is a directory") == 2
+
+
 def test_presses_that_a_database_refused_are_counted_at_the_next_start(path: Path) -> None:
     """Made while the disk was full, and then the gateway ended: the gel has felt them."""
     with Store(path) as store:
