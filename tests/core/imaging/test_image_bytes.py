@@ -13,9 +13,12 @@ from edge.core.imaging.image_bytes import Freshness, comment, damage, kind, pict
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
 @pytest.mark.parametrize("size", [(64, 48), (3, 500)])
 def test_size_is_read_from_the_header(suffix: str, size: tuple[int, int]) -> None:
-    """Width and height, in that order, also behind a comment."""
+    """Width and height, in that order, also behind a comment, and of a JPEG behind bytes that fill."""
     payload = jpeg(0, size, suffix)
     assert picture_size(payload) == size
+    if suffix == ".jpg":
+        for filling in (b"\xff", b"\xff\xff", b"\xff\x01"):
+            assert picture_size(payload[:2] + filling + payload[2:]) == size
     assert picture_size(with_comment(payload, "in front")) == size
 
 

@@ -17,7 +17,7 @@ WOBBLE = (0.0, 1.0, -1.0, 0.5, -0.5)
 def press(n: int, **changes: object) -> ReferencePress:
     """The n-th press: small differences that repeat after five."""
     off = WOBBLE[n % 5]
-    imprint = Imprint(2.0 + 0.02 * off, 9.0 + 0.1 * off, 7.0 + 0.1 * off, None, 1.0 + 0.05 * off)
+    imprint = Imprint(2.0 + 0.02 * off, 9.0 + 0.1 * off, 7.0 + 0.1 * off, 80.0 + 0.2 * off, 1.0 + 0.05 * off)
     made = ReferencePress(f"P{n}", n, "g1", "b1", "pass", "pass", 0.4 + 0.01 * off, 1.0, imprint)
     return replace(made, **changes)  # type: ignore[arg-type]
 
@@ -42,7 +42,7 @@ def test_limits_are_learnt_from_the_first_presses() -> None:
     assert said[1].sentences == ("limits are learnt: 2 of 5 presses",)
     assert outcome(learnt(6)) is Outcome.IN_LIMITS
     assert {chart.measure.name for chart in charts(learnt(6), LEARN)} == {
-        *("score", "strength_levels", "x_mm", "y_mm", "noise_levels")
+        *("score", "strength_levels", "x_mm", "y_mm", "turn_deg", "noise_levels")
     }
 
 
@@ -52,6 +52,8 @@ def test_limits_are_learnt_from_the_first_presses() -> None:
         ({"score": 0.9}, r"score is 0.9, the limits are .*; clean gel and master piece"),
         ({"imprint": Imprint(4.0, 9.0, 7.0, None, 1.0)}, r"strength is 4 levels, .*; check the force"),
         ({"imprint": MOVED}, r"place x is 12 mm, .*; check fixture"),
+        ({"imprint": Imprint(2.0, 9.0, 9.0, 80.0, 1.0)}, r"place y is 9 mm, .*; check fixture"),
+        ({"imprint": Imprint(2.0, 9.0, 7.0, 83.0, 1.0)}, r"turn is 83 deg, .*; check fixture"),
         ({"imprint": Imprint(2.0, 9.0, 7.0, None, 3.0)}, r"noise is 3 levels, .*; check light"),
         ({"verdict": "fail", "score": 0.4}, r"its verdict is fail, this master piece must give pass"),
     ],
