@@ -1,5 +1,6 @@
 """A station with a PLC: recorded presses, one step at a time, and the PLC's side as its server asks."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -193,6 +194,26 @@ def test_a_trigger_replaces_a_selection_that_waits(tmp_path: Path, configure: Ma
         station.play_presses(2)
         assert station.result == ("done", 1, "fail", Code.NONE)
         assert station.results[-1].part == "PZ0"
+
+
+def test_a_part_that_cannot_be_selected_is_an_error(tmp_path: Path, configure: Make, bundle: Path) -> None:
+    """Its bundle goes between the trigger and its turn, or the act cannot be recorded: no other bundle answers."""
+    two_parts(tmp_path / "bundles", bundle)
+    with PlcStation(configure(inspection=f'bundle_folder = "{tmp_path / "bundles"}"')) as station:
+        station.play_until_ready()
+        assert station.trigger(1, part="PZ1") is Code.NONE
+        with station.refusing("acts"):
+            station.turn()
+        assert station.result == ("done", 1, "error", Code.OTHER_PART)
+        station.acknowledge()
+        assert station.trigger(2, part="PZ1") is Code.NONE
+        shutil.rmtree(tmp_path / "bundles" / "b")
+        selection = station.parts.selection
+        selection.reload()
+        selection.worker.step()
+        selection.step(is_pressed=False)
+        station.turn()
+        assert station.result == ("done", 2, "error", Code.UNKNOWN_PART)
 
 
 def test_what_is_refused_is_an_act_once(configure: Make) -> None:

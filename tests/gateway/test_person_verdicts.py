@@ -173,7 +173,7 @@ def test_a_word_is_kept_beside_the_verdict_and_the_press_is_not_asked_for_again(
 def test_after_a_restart_the_page_shows_its_presses_and_what_it_asks_about(
     tmp_path: Path, recording: Path, bundle: Path
 ) -> None:
-    """The pictures are drawn again from the archive: the same ones."""
+    """The pictures are drawn again from the archive: the same ones. They can be answered before a gel is seen."""
     port = free_port()
     sinks = f'[[sinks]]\nplugin = "page"\noptions = {{ port = {port} }}\n'
     pictures, listed = list[list[tuple[int, bytes]]](), list[list[dict[str, Any]]]()
@@ -188,7 +188,10 @@ def test_after_a_restart_the_page_shows_its_presses_and_what_it_asks_about(
             assert sorted(asked(port, "/station.json")["pictures"]) == ids
             listed.append(asked(port, "/presses.json"))
             pictures.append([ask(port, f"/pictures/{one}") for one in ids])
+            if attempt == 1:
+                answer: Any = say(station)(press_id=ids[0], verdict="good")
 
+    assert answer["data"]["remarks"] == []
     assert len(pictures[0]) == 4
     assert pictures[0] == pictures[1]
     assert {status for status, _ in pictures[0]} == {200}

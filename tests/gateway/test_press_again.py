@@ -16,6 +16,7 @@ from stepped_station import SteppedStation
 
 from edge.cli.run import press_line
 from edge.clock import ManualClock
+from edge.core.errors import NotScorable
 from edge.core.handshake import Trigger
 from edge.core.overview.view import Code, OverviewView
 from edge.core.press import Press
@@ -96,6 +97,29 @@ def test_a_piece_fails_where_both_presses_lie_above(tmp_path: Path, asking: Make
     assert str(decided.reason).startswith("decided by the lower score of two presses")
     assert again.code == 0, again.out
     assert again.out.count("equal, bit for bit") == 3
+
+
+def test_a_second_press_without_a_score_is_asked_for_once_more(
+    asking: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The piece still waits, for the press after it, which is decided together with the first one."""
+    with asking(0) as station:
+        station.play_presses(1)
+        with monkeypatch.context() as broken:
+            fails = Mock(side_effect=NotScorable("not finite"))
+            broken.setattr(station.parts.selection.inspector.scorer, "score_prepared", fails)
+            station.play_presses(2)
+        station.play_presses(3)
+        assert "press_again" not in station.raised
+
+    assert station.verdicts == ["unsure", None, "pass"]
+    first, *others = station.results
+    said = [one.press_again for one in others]
+    assert [(one.is_asked, one.second_of) for one in said if one] == [
+        (True, first.press_id),
+        (False, first.press_id),
+    ]
+    assert str(said[0] and said[0].reason) == "this second press has no score; press the same piece once more"
 
 
 PLAN = '[piece]\nplaces = [{ part = "PZ0", position = "pos1" }]\n'

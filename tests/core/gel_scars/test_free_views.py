@@ -30,11 +30,13 @@ def mean(free: FreeViews) -> float | None:
 
 def test_views_just_before_a_press_are_held_back() -> None:
     """They may show the approach of the next part: at 10 and at 18.75 frames a second, and where every look of an idle
-    gel is."""
+    gel is. Two others are of a moment, three of no moment."""
     pressed = (State.APPROACH, 60.0), PRESSED
     for interval_s, least in ((0.1, 2), (4 / 75, 4), (0.15, 2)):
         found = [mean(seen(*[FREE] * number, *pressed, interval_s=interval_s)) for number in range(6)]
         assert found == [None] * least + [10] * (6 - least)
+        fresh = [seen(*[FREE] * number, *pressed, interval_s=interval_s).is_fresh for number in range(8)]
+        assert fresh == [True] * (least + 2) + [False] * (6 - least)
         late = *[FREE] * least, (State.NO_CONTACT, 50.0), *pressed
         assert mean(seen(*late, interval_s=interval_s)) == 10
 
