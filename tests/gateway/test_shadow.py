@@ -14,6 +14,7 @@ from sql import execute
 from station import Motion, press_recording, variant
 from stepped_station import SteppedStation
 
+from edge.core.errors import NotScorable
 from edge.core.part_position import PartPosition
 from edge.core.press import ShadowVerdict
 from edge.features.shadow import Shadow
@@ -456,15 +457,24 @@ def test_a_shadow_that_cannot_be_compared_is_a_sentence_and_the_station_inspects
     assert "presses are inspected without it" in checked.out
 
 
+@pytest.mark.parametrize(
+    ("error", "why"),
+    [(MemoryError("no room"), "MemoryError('no room')"), (NotScorable("not finite"), "not finite")],
+)
 def test_a_shadow_that_fails_while_it_scores_disturbs_no_verdict(
-    shadowed: Shadowed, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+    shadowed: Shadowed,
+    bundle: Path,
+    shadow: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    error: Exception,
+    why: str,
 ) -> None:
     """It is said once, and over with the next score."""
     with SteppedStation(shadowed(bundle, shadow)) as station:
         station.play_presses(1)
         scorer = station.parts.selection.shadow.scorer
         with monkeypatch.context() as patch:
-            patch.setattr(scorer, "score_beside", Mock(side_effect=MemoryError("no room")))
+            patch.setattr(scorer, "score_beside", Mock(side_effect=error))
             station.play_presses(3)
             said = station.alarm("shadow")
         station.play_presses(4)
@@ -472,7 +482,7 @@ def test_a_shadow_that_fails_while_it_scores_disturbs_no_verdict(
 
     assert station.verdicts == ["pass", "pass", "fail", "pass"]
     assert [one.shadow.verdict for one in station.results] == ["pass", "error", "error", "pass"]
-    assert "gave no score: MemoryError('no room')" in said
+    assert f"gave no score: {why}" in said
     assert after is None
 
 
