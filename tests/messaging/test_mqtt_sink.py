@@ -148,8 +148,10 @@ def test_what_was_given_up_is_never_sent_later(sink_to: SinkTo, listen: Listen) 
         assert listener.payloads("result") == [b"after"]
 
 
-def test_a_retained_request_is_not_carried_out(mosquitto: LocalBroker, sink_to: SinkTo) -> None:
-    """It would be done again on every connection."""
+def test_a_retained_request_is_not_carried_out_nor_one_that_came_meanwhile(
+    mosquitto: LocalBroker, sink_to: SinkTo
+) -> None:
+    """It would be done again on every connection; and what was asked of a station that was away, when it returns."""
     asked: list[str] = []
     other = Connection.open(Broker(mosquitto.host, mosquitto.port, "other"))
     other.publish(Message(f"{ROOT}/cmd/old", b"", retain=False))
@@ -161,16 +163,17 @@ def test_a_retained_request_is_not_carried_out(mosquitto: LocalBroker, sink_to: 
         arrived.set()
         return b"{}"
 
-    for protocol in ("5", "3.1.1"):
+    for protocol in ("5", "5", "3.1.1", "3.1.1"):
         arrived.clear()
         sink = sink_to(mosquitto, note, protocol=protocol)
         sink.send(Message("result", b""))
         other.publish(Message(f"{ROOT}/cmd/now", b"x"))
         assert arrived.wait(PATIENCE_S)
         sink.close()
+        other.publish(Message(f"{ROOT}/cmd/late", b"x"))
     other.close()
 
-    assert asked == ["now", "now"]
+    assert asked == ["now"] * 4
 
 
 def test_many_threads_may_send(mosquitto: LocalBroker, sink_to: SinkTo, listen: Listen) -> None:

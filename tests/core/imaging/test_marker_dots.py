@@ -66,11 +66,18 @@ def grooves(rgb: U8) -> U8:
     return lines
 
 
+def hexagons(rgb: U8) -> U8:
+    along, row = np.meshgrid(np.arange(12), np.arange(9))
+    places = np.stack([along + row % 2 / 2, row * np.sqrt(0.75)], axis=-1).reshape(-1, 2)
+    return dotted(rgb, places * APART_PX)
+
+
 @pytest.mark.parametrize(
-    "change", [lambda rgb: rgb, lambda rgb: rgb * 0, specks, coloured_bumps, half_of_them, grooves]
+    "change", [lambda rgb: rgb, lambda rgb: rgb * 0, specks, coloured_bumps, half_of_them, grooves, hexagons]
 )
 def test_no_dots_are_found_where_none_are(change: Callable[[U8], U8]) -> None:
-    """A plain gel, a black picture, specks anywhere, a regular part, a part with dots on one side, dark lines."""
+    """A plain gel, a black picture, specks anywhere, a regular part, a part with dots on one side, dark lines, a
+    part with holes as far apart, which are in no square."""
     assert find_marker_dots(change(LIGHT), PIXELS_PER_MM) is None
 
 
