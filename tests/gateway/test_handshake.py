@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +68,8 @@ class PlcStation(SteppedStation):
 
 
 def test_each_trigger_is_answered_by_its_press(configure: Make) -> None:
-    """Pass, fail, pass: with the press of the result, which names the trigger; a press without one answers nothing."""
+    """Pass, fail, pass: with the press of the result, which names the trigger; a press without one answers nothing. Of
+    the gel it says what is left, and nothing of a worn one."""
     with PlcStation(configure()) as station:
         assert station.trigger(1) is Code.NOT_READY
         station.play_until_ready()
@@ -84,6 +86,10 @@ def test_each_trigger_is_answered_by_its_press(configure: Make) -> None:
         station.play()
         assert [result.trigger_id for result in station.results] == [1, 2, None]
         assert station.seen.gel_left_percent == 99
+        worn = replace(station.reports[-1].gel, wear_index=1.0)
+        station.find(HandshakeStage).mount(worn)
+        station.turn()
+        assert station.seen.gel_left_percent == 0
 
 
 def test_a_press_that_began_before_the_trigger_is_not_its_answer(configure: Make) -> None:
