@@ -57,7 +57,7 @@ NOTED = "GELGATE_TESTS_OF_LINES"
 LIMITED = "GELGATE_TIMES_OF_TESTS"
 ONE_AT_A_TIME = Lock()
 Noted = tuple[dict[str, dict[str, list[str]]], dict[str, float]]
-"""Path to line to its tests, and test to seconds."""
+"""Path to line to its tests, and test to seconds; a test that fails without a mutant is in neither."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,8 @@ class Mutant:
     source: str
     before: str
     after: str
+    readers: frozenset[int] | str
+    """The lines of its file whose tests can notice it, or a name: the tests of all files that mention it can."""
 
     @property
     def folders(self) -> list[str]:
@@ -127,6 +129,30 @@ def seen(node: ast.AST) -> Iterator[ast.AST]:
                 yield from () if is_sentence(child) else seen(child)
 
 
+def readers_of(tree: ast.Module, line: int) -> frozenset[int] | str:
+    """Return the lines whose tests can notice a mutant of a line: those of its statement. A line that runs at import
+    does so in whichever test comes first: of such a line, those that read its private name, or the name of others."""
+    every = [node for node in ast.walk(tree) if isinstance(node, ast.stmt)]
+    functions = [node for node in every if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    inside = {at for one in functions for at in range(one.body[0].lineno, (one.end_lineno or 0) + 1)}
+    around = [node for node in every if node.lineno <= line <= (node.end_lineno or 0)]
+    calls = [one for one in ast.walk(tree) if isinstance(one, ast.Call) and one.lineno not in inside]
+    at_import = {one.func.id for one in calls if isinstance(one.func, ast.Name)}
+    if line in inside and not any(one in functions and one.name in at_import for one in around):
+        statement = max(around, key=lambda node: node.lineno)
+        body = getattr(statement, "body", None)
+        end = max(line, body[0].lineno - 1) if body else statement.end_lineno or 0
+        return frozenset(range(statement.lineno, end + 1))
+    match min(around, key=lambda node: node.lineno):
+        case ast.ClassDef(name=name) | ast.FunctionDef(name=name):
+            return name
+        case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
+            loads = [node for node in ast.walk(tree) if isinstance(node, ast.Name) and node.id == name]
+            uses = frozenset(node.lineno for node in loads if isinstance(node.ctx, ast.Load))
+            return uses if name.startswith("_") and uses <= inside else name
+    return r"\w"  # of no name: any file
+
+
 def mutants_of(path: Path, lines: Sequence[int] | None, rng: random.Random) -> Iterator[Mutant]:
     """Yield one mutant of each of these lines that can be changed, of every line by default."""
     source, by_line = path.read_bytes(), defaultdict(list)
@@ -134,7 +160,8 @@ def mutants_of(path: Path, lines: Sequence[int] | None, rng: random.Random) -> I
     starts = [0]
     for text in source.splitlines(keepends=True):
         starts.append(starts[-1] + len(text))
-    for node in seen(ast.parse(source)):
+    tree = ast.parse(source)
+    for node in seen(tree):
         if (found := change(node, source, starts)) is not None:
             by_line[source.count(b"\n", 0, found[0]) + 1].append(found)
     for line, places in sorted(by_line.items()):
@@ -142,7 +169,8 @@ def mutants_of(path: Path, lines: Sequence[int] | None, rng: random.Random) -> I
             start, end, new = rng.choice(places)
             changed = (source[:start] + new.encode() + source[end:]).decode()
             after = changed.splitlines()[line - 1]
-            yield Mutant(str(path.relative_to(ROOT)), line, changed, shown[line - 1], after)
+            readers = readers_of(tree, line)
+            yield Mutant(str(path.relative_to(ROOT)), line, changed, shown[line - 1], after, readers)
 
 
 def changed_lines(since: str) -> Mapping[str, list[int]]:
@@ -169,6 +197,7 @@ class TestsOfLines:
         self.coverage = coverage.Coverage(data_file=None, source=[str(ROOT / "edge"), str(ROOT / "plugins")])
         self.coverage.start()
         self.seconds: dict[str, float] = {}
+        self.failed: set[str] = set()
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
@@ -179,17 +208,21 @@ class TestsOfLines:
         self.coverage.switch_context("")
         return result
 
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:
+            self.failed.add(report.nodeid)
+
     def pytest_sessionfinish(self) -> None:
         self.coverage.stop()
         data, noted = self.coverage.get_data(), defaultdict[str, Noted](lambda: ({}, {}))
-        for test, seconds in self.seconds.items():
-            noted[test.split("::")[0]][1][test] = seconds
+        for test in self.seconds.keys() - self.failed:
+            noted[test.split("::")[0]][1][test] = self.seconds[test]
         for file in data.measured_files():
             for line, tests in data.contexts_by_lineno(file).items():
-                for test in filter(None, tests):
+                for test in set(tests) - self.failed - {""}:
                     by_line = noted[test.split("::")[0]][0].setdefault(str(Path(file).relative_to(ROOT)), {})
                     by_line.setdefault(str(line), []).append(test)
-        Path(os.environ[NOTED]).write_text(json.dumps(noted), encoding="utf-8")
+        Path(os.environ[NOTED]).write_text(json.dumps([noted, sorted(self.failed)]), encoding="utf-8")
 
 
 class LimitOfEachTest:
@@ -218,10 +251,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @cache
-def tests_of_lines(folder: str) -> Noted:
+def tests_of_lines(folder: str, processes: int) -> Noted:
     """Return what the tests in a folder run; each of its files is measured once for a state of it and the program."""
-    shared = [file for name in ("edge", "plugins", "tests/support") for file in (ROOT / name).rglob("*.py")]
-    program = hash_of(sorted([*shared, *(ROOT / "tests").rglob("conftest.py")]))
+    shared = {file for name in ("edge", "plugins", "tests/support") for file in (ROOT / name).rglob("*.py")}
+    program = hash_of(sorted([*shared - {Path(__file__).resolve()}, *(ROOT / "tests").rglob("conftest.py")]))
     files = sorted((ROOT / folder).rglob("test_*.py"))
     kept = {
         str(file.relative_to(ROOT)): ROOT / f".mutants/{file.stem}-{program}-{hash_of([file])}.json"
@@ -230,12 +263,22 @@ def tests_of_lines(folder: str) -> Noted:
     if new := [name for name, path in kept.items() if not path.exists()]:
         print(f"{folder}: tests run once under coverage, of {len(new)} files", flush=True)
         (ROOT / ".mutants").mkdir(exist_ok=True)
-        with tempfile.NamedTemporaryFile("r", suffix=".json", encoding="utf-8") as noted:
-            if run(ROOT, new, {NOTED: noted.name}) != "passed":
-                sys.exit(f"the tests in {folder} fail without a mutant; run them")
-            found = json.load(noted)
-        for name in new:
-            kept[name].write_text(json.dumps(found.get(name, ({}, {}))), encoding="utf-8")
+
+        def measure(names: Sequence[str]) -> None:
+            with tempfile.NamedTemporaryFile("r", suffix=".json", encoding="utf-8") as noted:
+                outcome = run(ROOT, names, {NOTED: noted.name})
+                found, failed = json.load(noted)
+            if outcome != "passed" and not failed:
+                sys.exit(f"pytest cannot run the tests in {folder}; run them")
+            for test in failed:
+                print(f"left out, for it fails without a mutant: {test}", flush=True)
+            for name in names:
+                kept[name].write_text(json.dumps(found.get(name, ({}, {}))), encoding="utf-8")
+
+        # Several shares for each process: no one waits long for the last, and what is measured at an end is kept.
+        shares = min(len(new), 4 * processes)
+        with ThreadPoolExecutor(processes) as threads:
+            list(threads.map(measure, [new[number::shares] for number in range(shares)]))
     lines, seconds = defaultdict[str, dict[str, list[str]]](dict), dict[str, float]()
     for path in kept.values():
         of_file, took = json.loads(path.read_text(encoding="utf-8"))
@@ -255,7 +298,8 @@ def run(tree: Path, tests: Sequence[str], variables: Mapping[str, str]) -> str:
     with tempfile.NamedTemporaryFile("w", suffix=".txt") as named:
         named.write("\n".join(tests))
         named.flush()
-        words = ["pytest", "-q", "-x", "-p", "mutants", "-p", "no:cacheprovider", f"@{named.name}"]
+        first = () if NOTED in variables else ("-x",)
+        words = ["pytest", "-q", *first, "-p", "mutants", "-p", "no:cacheprovider", f"@{named.name}"]
         environment = {**os.environ, "PYTHONPATH": f"{tree}:{tree / 'tests/support'}", **variables}
         command = [sys.executable, "-m", *words]
         status = subprocess.run(
@@ -272,17 +316,23 @@ def run_within(tree: Path, tests: Sequence[str], times: float, seconds: Mapping[
     return run(tree, tests, {LIMITED: str(limits)})
 
 
-def judge(mutant: Mutant, tree: Path) -> str:
-    """Run the tests of its line, or of its whole file for a line that runs at import. A mutant that is late is killed
-    only where the program passes in a third of the time at once afterwards: a machine that is busy, or a test that
-    takes long by itself, notices nothing."""
+def judge(mutant: Mutant, tree: Path, processes: int) -> str:
+    """Run the tests of its readers. A mutant that is late is killed only where the program passes in a third of the
+    time at once afterwards: a machine that is busy, or a test that takes long by itself, notices nothing."""
     path = tree / mutant.path
     sound = path.read_bytes()
     for folder in mutant.folders:
         with ONE_AT_A_TIME:
-            lines, seconds = tests_of_lines(folder)
-        of_file = lines.get(mutant.path, {})
-        tests = of_file.get(str(mutant.line)) or {test for named in of_file.values() for test in named}
+            lines, seconds = tests_of_lines(folder, processes)
+        if isinstance(mutant.readers, str):
+            mention = re.compile(rf"\b{mutant.readers}\b")
+            files = [
+                lines[name] for name in lines if mention.search((ROOT / name).read_text(encoding="utf-8"))
+            ]
+            tests = {test for by_line in files for named in by_line.values() for test in named}
+        else:
+            of_file = lines.get(mutant.path, {})
+            tests = {test for line in mutant.readers for test in of_file.get(str(line), ())}
         if not tests:
             continue
         in_order = sorted(tests, key=lambda test: seconds.get(test, 0.0))
@@ -321,7 +371,7 @@ def main() -> int:
 
         def take(mutant: Mutant) -> None:
             tree = trees.get()
-            outcome = judge(mutant, tree) if time.monotonic() < end else "not tried"
+            outcome = judge(mutant, tree, given.processes) if time.monotonic() < end else "not tried"
             trees.put(tree)
             outcomes[outcome] += 1
             if outcome == "survived":
