@@ -423,7 +423,9 @@ class Station:
         return found[0] if found else b"{}"
 
     def _let_go_on(self, thread: threading.Thread) -> None:
-        if not self.shared.is_store_held:  # which it may wait for
+        # In a process that ends it may be the thread itself that asks.
+        is_its_own = thread is threading.current_thread()
+        if not (is_its_own or self.shared.is_store_held):  # which it may wait for
             thread.join()
 
     def allows(self, answer: dict[str, Any]) -> bool:
