@@ -1,12 +1,15 @@
 """Alarms that must be raised, and cleared, within a stated time (docs/operations.md)."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from datetime import date
 
-from simulation.lives import Station
+from edge.clock import local_day
+from simulation.hand import SLIPS_AFTER, MadePress
+from simulation.lives import Seen, Station
 from simulation.plc import Server
 from simulation.sensor import SERIAL, S
-from simulation.surroundings import World
+from simulation.surroundings import WALL_NS, World
 
 
 @dataclass(frozen=True)
@@ -62,11 +65,163 @@ def _never(world: World, station: Station) -> bool:
     return False
 
 
+def _always(world: World, station: Station) -> bool:
+    return True
+
+
 def _is_disk_disturbed(world: World, station: Station) -> bool:
     return station.is_disk_disturbed
 
 
-RULES = (
+# Of what is recorded
+
+
+def _is_worn(world: World, station: Station) -> bool:
+    """From four fifths of its limit on a gel is due."""
+    _, presses, limit, _ = station.mounted_gel()
+    return bool(presses >= 0.8 * limit)
+
+
+def _is_past_date(world: World, station: Station) -> bool:
+    """It is past its last day of use."""
+    use_by = station.mounted_gel()[3]
+    return use_by is not None and local_day(world.clock.time_ns()) > date.fromisoformat(use_by)
+
+
+def _may_be_past_date(world: World, station: Station) -> bool:
+    """The alarm stays for two hours where a clock is set back."""
+    is_set = world.clock.wall_ns != WALL_NS and station.mounted_gel()[3] is not None
+    return is_set or _is_past_date(world, station)
+
+
+def _is_other_gel(world: World, station: Station) -> bool:
+    """Each bundle is older than any gel but the first, and nobody has proven it."""
+    return bool(station.mounted_gel()[0] != f"{SERIAL}-1")
+
+
+def _may_be_unproven(world: World, station: Station) -> bool:
+    return station.has_lost_pieces or _is_other_gel(world, station)
+
+
+def _find_judged(world: World, station: Station) -> list[tuple[Seen, MadePress]]:
+    """Find the presses of parts that have passed or failed in this life, in order."""
+    judged = []
+    for seen in station.seen:
+        if seen.noted_ns > station.began_ns and seen.word in ("pass", "fail") and seen.frame_ns:
+            made = [press for press in world.hand.presses if press.begin_ns <= seen.frame_ns][-1:]
+            judged += [(seen, press) for press in made if not press.master_ns]
+    return judged
+
+
+def _find_sole_part(world: World, station: Station) -> str:
+    """Find the part that is inspected, if it has had one bundle alone."""
+    part = world.shelf.parts[station.told[-1][1]] if station.told else ""
+    of_part = {told for _, told in station.told if world.shelf.parts.get(told) == part}
+    return part if len(of_part) == 1 else ""
+
+
+def _is_of_one_gel(world: World, station: Station, judged: Sequence[tuple[Seen, MadePress]]) -> bool:
+    """All are of the mounted gel, and of one bundle, which is in use."""
+    ids = ", ".join(f"'{seen.press_id}'" for seen, _ in judged)
+    query = f"SELECT DISTINCT gel_id, part FROM presses WHERE press_id IN ({ids})"
+    here = station.mounted_gel()[0], _find_sole_part(world, station)
+    return [*station.disk.read(query)] == [here]
+
+
+def _is_damage_repeated(world: World, station: Station) -> bool:
+    """Five in a row fail at one place."""
+    newest = _find_judged(world, station)[-5:]
+    is_dent = [press.what == "dented" and not (press.why or press.way == "hard") for _, press in newest]
+    return is_dent == [True] * 5 and _is_of_one_gel(world, station, newest)
+
+
+def _may_damage_repeat(world: World, station: Station) -> bool:
+    """The newest is not a sound one."""
+    return not any(press.what == "sound" and not press.why for _, press in _find_judged(world, station)[-1:])
+
+
+CHARTED, DEEPER = 12, 8
+"""When so many presses have passed, and then so many that lay deeper, a shift is said."""
+
+
+def _has_slipped(world: World, station: Station) -> bool:
+    """The newest that have passed lie deeper than those before, of which there are enough."""
+    passed = [one for one in _find_judged(world, station) if one[0].word == "pass"]
+    deeper = [press.number >= SLIPS_AFTER for _, press in passed]
+    # What hung as a part rested on the way may have seen no more of it.
+    is_usual = not any(
+        press.way == "hard" or (press.why and press.way in ("slow", "hesitating")) for _, press in passed
+    )
+    is_enough = deeper.count(False) >= CHARTED and deeper.count(True) >= DEEPER
+    return is_usual and is_enough and _is_of_one_gel(world, station, passed)
+
+
+def _is_master_due(world: World, station: Station) -> bool:
+    """No press of the master piece was made on this gel."""
+    if not station.config.reference.pieces:
+        return False
+    return (station.mounted_gel()[0],) not in station.disk.read("SELECT gel_id FROM reference_presses")
+
+
+def _has_escaped(world: World, station: Station) -> bool:
+    """By the newest word on it a press that passed is damaged. The words of a day count."""
+    query = (
+        "SELECT arguments ->> '$.press_id', arguments ->> '$.verdict' FROM acts "
+        "WHERE verb = 'confirm_press' AND outcome = 'done' ORDER BY act_id"
+    )
+    said = dict(station.disk.read(query)) if station.signed else {}
+    damaged = {press_id for press_id, word in said.items() if word == "damaged"}
+    is_set = world.clock.wall_ns != WALL_NS
+    return (
+        bool(damaged) and not is_set and any(row[0] in damaged and row[1] == "pass" for row in station.rows())
+    )
+
+
+def _may_have_escaped(world: World, station: Station) -> bool:
+    return world.clock.wall_ns != WALL_NS or _has_escaped(world, station)
+
+
+def _is_promise_broken(world: World, station: Station) -> bool:
+    """A third of the presses of this bundle and gel fail, of which people call four or more good, and few damaged."""
+    if not world.is_lenient or world.clock.wall_ns != WALL_NS:
+        return False
+    words = (
+        "SELECT arguments ->> '$.verdict' FROM acts WHERE verb = 'confirm_press' AND outcome = 'done' "
+        "AND arguments ->> '$.press_id' = press_id"
+    )
+    query = (
+        f"SELECT ({words} ORDER BY act_id DESC LIMIT 1), verdict = 'fail' FROM presses "
+        "WHERE verdict IN ('pass', 'fail') AND gel_id = ? AND part = ? AND evidence IS NOT NULL"
+    )
+    judged = station.disk.read(query, station.mounted_gel()[0], _find_sole_part(world, station))
+    failed = [word for word, has_failed in judged if has_failed]
+    is_good = failed.count("good") >= max(4, 4 * sum(word not in ("good", None) for word in failed))
+    return is_good and 3 * len(failed) >= len(judged) and not _may_be_unproven(world, station)
+
+
+def _may_promise_be_broken(world: World, station: Station) -> bool:
+    return world.is_lenient
+
+
+def _is_piece_late(world: World, station: Station) -> bool:
+    """The newest piece was not complete in time, and may still lie there."""
+    query = "SELECT ended_by FROM pieces ORDER BY number DESC LIMIT 1"
+    return world.has_pieces and station.disk.read(query) == [("time",)]
+
+
+def _may_piece_be_late(world: World, station: Station) -> bool:
+    return bool(world.shelf.wrong) or _is_piece_late(world, station)
+
+
+def _is_shadow_broken(world: World, station: Station) -> bool:
+    return world.shelf.is_shadow_broken and world.shelf.is_asked
+
+
+def _may_shadow_be_broken(world: World, station: Station) -> bool:
+    return world.shelf.is_shadow_broken or not world.shelf.is_asked
+
+
+SEEN = (
     # Two seconds without a picture are a fault; 38 frames in a row that cannot be read are.
     Rule("device", is_sensor_lost, 6.5, _is_sensor_disturbed, 14.0),
     # Its presence is asked for once a second; it is opened again every 0.5 to 5 s, and a second.
@@ -82,24 +237,54 @@ RULES = (
     Rule("store", _never, 0.0, _is_disk_disturbed, 14.0),
 )
 
+RECORDED = (
+    Rule("gel", _is_worn, 3.0, _is_worn, 3.0),
+    Rule("gel_expired", _is_past_date, 3.0, _may_be_past_date, 3.0),
+    Rule("gel_proof", _is_other_gel, 3.0, _may_be_unproven, 3.0),
+    # It ends with the next press that is sound there.
+    Rule("gel_mark", _is_damage_repeated, 3.0, _may_damage_repeat, 3.0),
+    # It stays until a person acknowledges it.
+    Rule("drift", _has_slipped, 3.0, _always, 0.0),
+    # It may also be out of limits, or be waited for.
+    Rule("reference", _is_master_due, 3.0, _always, 0.0),
+    # What a person said is looked at each second.
+    Rule("escape", _has_escaped, 3.0, _may_have_escaped, 3.0),
+    Rule("false_alarms", _is_promise_broken, 3.0, _may_promise_be_broken, 3.0),
+    Rule("piece", _is_piece_late, 3.0, _may_piece_be_late, 3.0),
+    # What was asked for is opened by then, and a press has ended.
+    Rule("shadow", _is_shadow_broken, 6.0, _may_shadow_be_broken, 6.0),
+)
+"""They are looked at each second, while all is recorded."""
 
-def audit_alarms(world: World, station: Station) -> Iterator[str]:
+
+def audit_alarms(world: World, station: Station, rules: Sequence[Rule], *, is_held_up: bool) -> Iterator[str]:
     """Compare what is so with the alarms that the station raises. A process that gets no time says nothing."""
-    now_ns, is_held_up = world.clock.now_ns, station.is_held_up
+    now_ns = world.clock.now_ns
     view = station.loop.parts.status.view()
     raised = view.alarms
     mended = {"actuator": world.relay.well_since_ns, "trigger_device": world.pedal.well_since_ns}
     if world.has_plc:
         mended["plc"] = world.plcs[0].well_since_ns  # a cut may be over between two looks
-    for rule in RULES:
-        is_so, may = rule.is_so(world, station), rule.may_be(world, station)
-        # A sensor that is opened again may be well, until it is found that it is not; a frozen one stays the same.
-        # A pause between pictures that show nothing is not their blindness.
-        sensor = world.sensor
-        again = (sensor.given if sensor.is_frozen else sensor.openings, sensor.is_silent, sensor.is_holding)
-        so_since_ns = station.so_since(f"{rule.alarm} is so", is_so and not is_held_up, again)
+    # A sensor that is opened again may be well, until it is found that it is not; a frozen one stays the same.
+    # A pause between pictures that show nothing is not their blindness.
+    sensor = world.sensor
+    again: object = (
+        sensor.given if sensor.is_frozen else sensor.openings,
+        sensor.is_silent,
+        sensor.is_holding,
+    )
+    if rules is RECORDED:
+        again = is_held_up or station.mounted_gel()[0]
+    for rule in rules:
+        is_so = not is_held_up and rule.is_so(world, station)
+        may = is_held_up or rule.may_be(world, station)
+        if is_so and rule.alarm in raised:
+            station.reached.add(f"the alarm {rule.alarm} was raised for its reason")
+        so_since_ns = station.so_since(f"{rule.alarm} is so", is_so, again)
         mended_ns = mended.get(rule.alarm)
-        well_since_ns = station.so_since(f"{rule.alarm} is well", not (is_so or may or is_held_up), mended_ns)
+        # What is recorded may have come and gone between two looks.
+        is_well = not (is_so or may) and (rules is SEEN or rule.alarm in raised)
+        well_since_ns = station.so_since(f"{rule.alarm} is well", is_well, mended_ns)
         is_late = so_since_ns is not None and now_ns - so_since_ns > rule.raised_s * S
         if is_late and rule.alarm not in raised:
             yield f"the alarm {rule.alarm} is not raised {rule.raised_s} s after its reason came"

@@ -39,8 +39,8 @@ def say_of_press(run: "Simulation", rng: random.Random) -> float:
     if not known:
         return -0.5
     press_id, what = rng.choice(known)
-    word = "good" if what == "sound" else "damaged"
-    is_slip = word == "good" and rng.random() < 0.3
+    word = "good" if what == "sound" or run.chosen.is_lenient else "damaged"
+    is_slip = what == "sound" and rng.random() < 0.3
     given = {"press_id": press_id, "verdict": "damaged" if is_slip else word}
     transaction = run.station.send_request("confirm_press", given, SECRET)
     run.reach("a person took a sound part for damaged" if is_slip else f"a person called a part {word}")

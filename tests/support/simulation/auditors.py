@@ -10,17 +10,15 @@ from edge.core.errors import ArchiveError
 from edge.features.black_box.replay import Bundles, judge_again
 from edge.store.integrity import check_database
 from edge.store.press_archive import ArchiveFolder
-from simulation.alarms import audit_alarms, is_sensor_lost
+from simulation.alarms import RECORDED, SEEN, audit_alarms, is_sensor_lost
 from simulation.auditors_brokers import audit_availability, audit_levels
 from simulation.auditors_bundles import audit_bundles, audit_judges
 from simulation.auditors_contact import audit_contact, audit_lifts, audit_overloads
 from simulation.auditors_database import audit_locked
 from simulation.auditors_features import (
-    audit_due,
     audit_master,
     audit_overview,
     audit_snapshots,
-    audit_words,
     may_lack_still,
 )
 from simulation.auditors_outbox import (
@@ -91,7 +89,7 @@ def audit_now(world: World, station: Station) -> Iterator[str]:
     yield from audit_piece_lamp(world, station)
     yield from audit_availability(world, station)
     yield from _audit_new_gel(world, station)
-    yield from audit_alarms(world, station)
+    yield from audit_alarms(world, station, SEEN, is_held_up=station.is_held_up)
     yield from audit_locked(world, station)
     yield from audit_bundles(world, station)
     yield from _audit_sight(world, station)
@@ -109,9 +107,8 @@ def audit_now(world: World, station: Station) -> Iterator[str]:
     if now_ns // S != before_ns // S:
         yield from audit_full_outbox(world, station)
         yield from audit_kept(world, station)
-        yield from audit_words(world, station)
+        yield from audit_alarms(world, station, RECORDED, is_held_up=station.is_kept_from_it)
         yield from audit_snapshots(world, station)
-        yield from audit_due(world, station)
     if now_ns // (5 * S) != before_ns // (5 * S):
         yield from audit_outbox(station)
 

@@ -10,43 +10,10 @@ from simulation.hand import MadePress
 from simulation.lives import Row, Station
 from simulation.overview_camera import MAX_AGE_S
 from simulation.sensor import S
-from simulation.surroundings import WALL_NS, World
-
-SAID_S = 3.0
-"""What a person said is looked at each second."""
+from simulation.surroundings import World
 
 WRITTEN_S = 6.0
 """A snapshot is written so long after its last frame: a stream that has stopped is waited for two seconds."""
-
-
-def audit_words(world: World, station: Station) -> Iterator[str]:
-    """The alarm `escape` says that a press has passed which people call damaged, by the newest word; and only that."""
-    is_kept_from_it = station.is_held_up or station.is_disk_disturbed or station.loop.is_halted
-    if world.clock.wall_ns != WALL_NS:  # the words of a day count, and it was set
-        return
-    query = (
-        "SELECT arguments ->> '$.press_id', arguments ->> '$.verdict' FROM acts "
-        "WHERE verb = 'confirm_press' AND outcome = 'done' ORDER BY act_id"
-    )
-    said = dict(station.disk.read(query))
-    if not said and "escape" not in station.loop.parts.status.view().alarms:
-        return
-    verdicts = {row[0]: row[1] for row in station.rows()}
-    escaped = [one for one, word in said.items() if word == "damaged" and verdicts.get(one) == "pass"]
-    is_raised = "escape" in station.loop.parts.status.view().alarms
-    if is_raised and escaped:
-        station.reached.add("a damaged part was said to have passed")
-    now_ns = world.clock.now_ns
-    unsaid_ns = station.so_since(
-        "an escape is not said", bool(escaped) and not (is_raised or is_kept_from_it)
-    )
-    false_ns = station.so_since(
-        "an escape that is none is said", is_raised and not (escaped or is_kept_from_it)
-    )
-    if unsaid_ns is not None and now_ns - unsaid_ns > SAID_S * S:
-        yield f"press {escaped[0]} passed, a person calls it damaged, and no alarm says so"
-    if false_ns is not None and now_ns - false_ns > SAID_S * S:
-        yield "the alarm escape is raised, and nobody calls a press damaged that passed"
 
 
 def audit_snapshots(world: World, station: Station) -> Iterator[str]:
@@ -55,9 +22,8 @@ def audit_snapshots(world: World, station: Station) -> Iterator[str]:
         "SELECT after ->> '$.recording', outcome FROM acts WHERE verb = 'snapshot' AND who = 'the gateway'"
     )
     outcomes, now_ns = dict(acts), world.clock.now_ns
-    is_kept_from_it = station.is_held_up or station.is_disk_disturbed or station.loop.is_halted
     for asked in station.snapshots:
-        is_open = asked.life == station.lives and asked.folder not in outcomes and not is_kept_from_it
+        is_open = asked.life == station.lives and asked.folder not in outcomes and not station.is_kept_from_it
         since_ns = station.so_since(f"the snapshot {asked.folder} is not written", is_open)
         if since_ns is not None and now_ns - since_ns > (asked.seconds + WRITTEN_S) * S:
             yield f"the snapshot {Path(asked.folder).name} has no outcome"
@@ -80,20 +46,6 @@ def audit_snapshots(world: World, station: Station) -> Iterator[str]:
         ]
         if not times or times != sorted(times) or times[-1] > max(ends, default=0):
             yield f"the snapshot {path.name} has {len(times)} frames, not those of its time"
-
-
-def audit_due(world: World, station: Station) -> Iterator[str]:
-    """A press of the master piece is due at once on a new gel, and the alarm `reference` says so."""
-    session = station.loop.session
-    if session is None or not station.config.reference.pieces:
-        return
-    gels = [gel for (gel,) in station.disk.read("SELECT gel_id FROM reference_presses ORDER BY number")]
-    is_raised = "reference" in station.loop.parts.status.view().alarms
-    is_kept_from_it = station.is_held_up or station.is_disk_disturbed or station.loop.is_halted
-    is_unsaid = session.gel.gel_id not in gels and not is_raised and not is_kept_from_it
-    unsaid_ns = station.so_since("a master piece is due", is_unsaid, session.gel.gel_id)
-    if unsaid_ns is not None and world.clock.now_ns - unsaid_ns > SAID_S * S:
-        yield f"no master piece was pressed on gel {session.gel.gel_id}, and no alarm says that it is due"
 
 
 def audit_master(world: World, station: Station) -> Iterator[str]:

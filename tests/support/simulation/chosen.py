@@ -106,7 +106,7 @@ FAMILIES = (
     ),
     Family({"silence": 10, "unplug": 5, "stop": 6, "request": 40}, {"has_page": True}),
     Family(
-        {"say": 20, SNAPSHOT: 20, "adopt": 6, "lose power": 2},
+        {"say": 20, SNAPSHOT: 20, "adopt": 6, "lose power": 2, "break shadow": 4, "break tool": 12},
         {"has_shadow": True, "features": (SNAPSHOT,)},
     ),
     Family({"plc": 5, "second plc": 2, "select part": 8, "silence": 1}, {"plc": "modbus", "is_slow": True}),
@@ -144,6 +144,8 @@ class Chosen:
     has_file: bool = False
     """A `jsonl` sink, too."""
     has_shadow: bool = False
+    is_lenient: bool = False
+    """People call dented parts good."""
     has_robot: bool = False
     """It holds each part until the station says that it may be lifted, or its patience ends."""
     plc: str = ""
@@ -190,6 +192,7 @@ class Chosen:
             has_file=rng.random() < 0.25,
             has_shadow=rng.random() < 0.25,
             has_robot=rng.random() < 0.3,
+            is_lenient=number // 2 % 2 == 1,
             has_serial=number // 6 % 2 == 1,
             forgets=number % 2 == 0,
             is_slow=rng.random() < 0.2,

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterator
 from itertools import pairwise
 
+from simulation.alarms import RECORDED, SEEN
 from simulation.brokers import Broker
 from simulation.bundles import PARTS
 from simulation.chosen import MOODS
@@ -34,7 +35,7 @@ SOMETIMES = (
     "a person called a part good",
     "a person called a part damaged",
     "a person took a sound part for damaged",
-    "a damaged part was said to have passed",
+    *(f"the alarm {rule.alarm} was raised for its reason" for rule in (*SEEN, *RECORDED) if rule.raised_s),
     "a snapshot was asked for",
     "a snapshot was written",
     "a shadow was refused",

@@ -23,7 +23,7 @@ from simulation.process_faults import (
 )
 from simulation.sensor import S
 from simulation.sensor_faults import blind, damage, hold_back, shake, silence, unplug
-from simulation.shelf import exchange_bundle
+from simulation.shelf import break_shadow, exchange_bundle
 
 if TYPE_CHECKING:
     from simulation.schedule import Simulation
@@ -193,6 +193,7 @@ FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "bad disk": bad_disk,
     "lock database": lock_database,
     "exchange bundle": exchange_bundle,
+    "break shadow": break_shadow,
     "second sensor": plug_second,
     "kill start": kill_start,
     "stop hanging": stop_hanging,
@@ -219,6 +220,7 @@ NEEDS_ANSWER = {
     "stop",
     "second sensor",
     "exchange bundle",
+    "break shadow",
     "lock database",
     "lose database",
     "freeze",

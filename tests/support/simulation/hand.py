@@ -25,6 +25,8 @@ ROBOT_WAITS_S = 2.5
 """For the word of the station; then it lifts."""
 TAKES_FRAMES = 4
 """So many frames before it is pressed a part is seen; the one before is seen until then."""
+SLIPS_AFTER, SLIPPED = 22, 1.3
+"""So many presses later the stop has slipped, and parts lie so much deeper."""
 PATIENCE = 0.9
 """The share of people who wait half a second more for a station that is not ready."""
 
@@ -95,8 +97,8 @@ class Hand:
         self.may_lift: Callable[[], bool] | None = None
         """What a robot looks at; None for a hand."""
         self.lifted_at_word = 0
-        self.has_dented = False
-        """The next part is dented."""
+        self.dents = 0
+        """So many of the next parts are dented."""
         self.is_slow = False
         """Most of its presses take long until they rest."""
         self.parts: Sequence[str] = ()
@@ -185,7 +187,7 @@ class Hand:
 
     def _begin(self, now_ns: int) -> None:
         what = self._rng.choices(("sound", "dented", "glaring"), (77, 20, 3))[0]
-        what, self.has_dented = "dented" if self.has_dented else what, False
+        what, self.dents = "dented" if self.dents else what, max(0, self.dents - 1)
         way = self._rng.choices(WAYS, (30, 15, 41, 4, 6, 4) if self.is_slow else (70, 8, 8, 4, 6, 4))[0]
         self._was_off = False
         if self.master_ns:
@@ -194,7 +196,8 @@ class Hand:
             MadePress(len(self.presses), now_ns, what, way, part=self.part, master_ns=self.master_ns)
         )
         self.master_ns = 0
-        self._phases.extend((depth, what) for depth in self._depths(way))
+        rests = SLIPPED if self.presses[-1].number >= SLIPS_AFTER else 1.0
+        self._phases.extend((rests if depth == 1.0 else depth, what) for depth in self._depths(way))
         self._phases.extend(repeat(FREE, self._frames(0.35, 0.75, 4)))
 
     def _depths(self, way: str) -> Iterator[float]:

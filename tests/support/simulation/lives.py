@@ -122,6 +122,7 @@ class Station:
         self.acts_before: int | None = None
         """Of times without sight, when the last one was long; None where that is one of them."""
         self._since: dict[str, tuple[object, int]] = {}
+        self._mounted: tuple[int, tuple[str, int, int, str | None]] = 0, ("", 0, 1, None)
         self.found: list[str] = []
         """What must not be, and was seen on the way."""
         self.signed = set[str]()
@@ -232,6 +233,12 @@ class Station:
         return not self.is_between_turns or self.is_disk_slow
 
     @property
+    def is_kept_from_it(self) -> bool:
+        """It gets no time, or may record nothing."""
+        is_refused = self.is_disk_disturbed or self.loop.is_halted or self.loop.session is None
+        return self.is_held_up or is_refused
+
+    @property
     def is_between_turns(self) -> bool:
         """Its loop can do what a person asks for: it waits for nothing in the middle of a turn."""
         is_stopped = self.is_frozen or self.is_hanging
@@ -318,6 +325,15 @@ class Station:
         is_there = self.disk.read("SELECT 1 FROM sqlite_master WHERE name = 'presses'")
         query = "SELECT press_id, verdict, part, gel_id FROM presses WHERE serial = ? ORDER BY number"
         return [*self.lost_rows, *(self.disk.read(query, SERIAL) if is_there else ())]
+
+    def mounted_gel(self) -> tuple[str, int, int, str | None]:
+        """Id, presses, limit and last day of use of the gel that is mounted; read once for each moment."""
+        query = (
+            "SELECT gel_id, presses, limit_presses, use_by FROM gels WHERE serial = ? AND removed_ns IS NULL"
+        )
+        if self._mounted[0] != self.world.clock.now_ns:
+            self._mounted = self.world.clock.now_ns, self.disk.read(query, SERIAL)[0]
+        return self._mounted[1]
 
     def master_gels(self) -> list[str]:
         """The gel of each press of the master piece that there ever was."""
@@ -502,11 +518,13 @@ STAYS = {
     "overload",
     "piece",
     "gel",
+    "gel_expired",
     "gel_proof",
     "gel_mark",
     "disk",
     "reference",
     "escape",
+    "false_alarms",
 }
 """Alarms that a person ends, or the next press, or that say what is not over."""
 

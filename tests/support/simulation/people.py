@@ -2,8 +2,10 @@
 
 import random
 from collections.abc import Callable
+from datetime import timedelta
 from typing import TYPE_CHECKING
 
+from edge.clock import local_day
 from edge.core.errors import GelgateError, StoreError
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES
 from simulation.bundles import PARTS
@@ -21,7 +23,10 @@ def replace_gel(run: "Simulation", rng: random.Random) -> float:
         return -0.1
     hand.wait(4)
     try:
-        run.world.gels.select(run.world.clock.now_ns, run.station.ask("replace_gel")["gel_id"])
+        today, days = local_day(run.world.clock.time_ns()), rng.choice((None, -1, 0, 30))
+        use_by = None if days is None else str(today + timedelta(days))
+        answer = run.station.ask("replace_gel", use_by=use_by)
+        run.world.gels.select(run.world.clock.now_ns, answer["gel_id"])
         run.world.new_gel_ns = run.world.clock.now_ns
         run.reach(
             "the gel was replaced while a broker was away" if run.is_broker_away else "the gel was replaced"
@@ -132,6 +137,15 @@ def acknowledge(run: "Simulation", rng: random.Random) -> float:
     return 0.0 if raised else -0.5
 
 
+def break_tool(run: "Simulation", rng: random.Random) -> float:
+    """The tool breaks that makes the parts: each is dented until somebody sees it."""
+    if run.world.hand.dents:
+        return -1.0
+    run.world.hand.dents = rng.randint(6, 9)
+    run.note(f"the next {run.world.hand.dents} parts are dented")
+    return 0.0
+
+
 PEOPLE: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "replace gel": replace_gel,
     "select part": select_part,
@@ -139,4 +153,5 @@ PEOPLE: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "reload": reload,
     "request": request,
     "acknowledge": acknowledge,
+    "break tool": break_tool,
 }

@@ -55,6 +55,8 @@ part = "PZ0/pos1"
 trigger = "{trigger}"
 shadows = {shadows}
 {bundles}
+[gel]
+limit_presses = 8
 [store]
 path = "{folder}/gelgate.db"
 [commands]

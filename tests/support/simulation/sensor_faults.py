@@ -54,7 +54,7 @@ def silence(run: "Simulation", rng: random.Random) -> float:
     sensor, hand, begun_ns = run.world.sensor, run.world.hand, run.world.clock.now_ns
     lasts_s, is_held = until_next_part(run, rng, rng.choice((0.3, 1.5, 6, 9))), rng.random() < 0.7
     if is_held and hand.is_pressing_soon:
-        lasts_s, hand.has_dented = hand.free_s + 0.4, True
+        lasts_s, hand.dents = hand.free_s + 0.4, max(1, hand.dents)
     let_lie(run, rng, lasts_s)
     sensor.is_silent = True
 

@@ -5,6 +5,7 @@ import json
 import random
 import shutil
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,17 +19,25 @@ BROKEN = ("of another part", "cut", "half copied", "changed under its manifest",
 """Such a bundle is refused (docs/operations.md, What happens when)."""
 
 
+PROMISE = {"alpha_floor": 0.05, "nominal_scores": [0.01] * 19, "pieces": 19}
+"""One of twenty sound parts fails, says each bundle."""
+
+
 class Shelf:
     """The bundles of a run. paths: those that are configured, one of each part; beside them `shadow`."""
 
     def __init__(self, folder: Path, bundles: Sequence[Path]) -> None:
-        self._originals, self._kept = bundles, folder / "kept"
+        self._kept = folder / "kept"
         self._kept.mkdir(parents=True)
+        self._originals = [shutil.copytree(path, folder / "made" / path.name) for path in bundles]
+        for path in self._originals:
+            _set(path, "threshold", **PROMISE)
         self.paths = [folder / part for part in PARTS]
-        for original, path in zip(bundles, self.paths, strict=True):
+        for original, path in zip(self._originals, self.paths, strict=True):
             shutil.copytree(original, path)
-        shutil.copytree(bundles[0].with_name("shadow"), folder / "shadow")
-        _set_revision(folder / "shadow", 1 << 30)  # an older one would not be scored
+        self._shadow = bundles[0].with_name("shadow")
+        shutil.copytree(self._shadow, folder / "shadow")
+        _set(folder / "shadow", revision=1 << 30)  # an older one would not be scored
         self.ids = [_identify(path) for path in self.paths]
         """Of the bundle that each part should have after a reload."""
         self.parts = dict(zip(self.ids, PARTS, strict=True))
@@ -42,6 +51,7 @@ class Shelf:
         self.breaks = 0
         """Bundles that were exchanged by a wrong one; each kind has its turn."""
         self._revision = 0
+        self.is_shadow_broken = False
 
     @property
     def replayed(self) -> list[Path]:
@@ -69,6 +79,13 @@ class Shelf:
         elif kind == "half copied":
             shutil.rmtree(path / "bank")
 
+    def break_shadow(self, *, is_broken: bool) -> None:
+        """Cut a file of the shadow, or put it back as it was."""
+        self.is_shadow_broken, self.is_asked = is_broken, False
+        head = self.paths[0].with_name("shadow") / "head.onnx"
+        whole = (self._shadow / "head.onnx").read_bytes()
+        head.write_bytes(whole[:-100] if is_broken else whole)
+
     def note_asked(self) -> None:
         """All that is there is to be opened."""
         self.asked, self.is_asked = self.asked + 1, True
@@ -76,15 +93,17 @@ class Shelf:
     def _write_next(self, part: int) -> None:
         path = self.paths[part]
         shutil.copytree(self._originals[part], path)
-        _set_revision(path, self._revision)
+        _set(path, revision=self._revision)
         self.ids[part] = _identify(path)
         self.parts[self.ids[part]] = PARTS[part]
         shutil.copytree(path, self._kept / self.ids[part])
 
 
-def _set_revision(path: Path, revision: int) -> None:
+def _set(path: Path, entry: str = "", **values: object) -> None:
+    """Change the manifest of a bundle, or one entry of it."""
     manifest = json.loads((path / "manifest.json").read_text())
-    (path / "manifest.json").write_text(json.dumps({**manifest, "revision": revision}))
+    (manifest[entry] if entry else manifest).update(values)
+    (path / "manifest.json").write_text(json.dumps(manifest))
 
 
 def _identify(path: Path) -> str:
@@ -122,3 +141,17 @@ def exchange_bundle(run: "Simulation", rng: random.Random) -> float:
     elif how == "restart":
         stop(run, rng)
     return 0.0
+
+
+def break_shadow(run: "Simulation", rng: random.Random) -> float:
+    """A person copies a shadow that is cut, and has it opened; later the whole one."""
+    if not run.chosen.has_shadow:
+        return 60.0
+
+    def put(*, is_broken: bool) -> None:
+        run.world.shelf.break_shadow(is_broken=is_broken)
+        run.station.ask("reload")
+        run.world.shelf.note_asked()
+
+    put(is_broken=True)
+    return run.for_a_while("shadow cut", rng.choice((8.0, 14.0)), partial(put, is_broken=False))

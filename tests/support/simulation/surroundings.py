@@ -113,6 +113,7 @@ class World:
         )
         self.hand = self.sensor.hand
         self.hand.is_slow = chosen.is_slow
+        self.is_lenient = chosen.is_lenient
         names = [f"broker{number}" for number in range(chosen.brokers)]
         self.brokers = {
             name: Broker(name, random.Random(f"{seed} {name}"), self.clock, chosen.level) for name in names
