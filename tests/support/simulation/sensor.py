@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 S = 10**9
 BEHIND_S = 0.3
 """A reader that gets its turns has taken a frame by then."""
+READ_LATE_S = 0.15
+"""So long a frame waits only where a disk holds up who reads it."""
 SERIAL, OTHER_SERIAL = "SIM00001", "SIM00002"
 
 
@@ -162,6 +164,9 @@ class OpenSensor:
             raise DeviceStalled("no frame yet")
         self._sequence += 1
         payload, made_ns = taken
+        if sensor.stamps_late and sensor._clock.now_ns - made_ns > READ_LATE_S * S:
+            # By its times the gel is seen free for less long than it was.
+            sensor.dim_until_ns = max(sensor.dim_until_ns, sensor._clock.now_ns + round(READ_LATE_S * S))
         sensor.note_given(payload)
         damage, share = sensor.damage
         if damage == "corrupt" and sensor._rng.random() < share:
