@@ -57,7 +57,9 @@ def test_a_shadow_is_heard_and_decides_nothing(shadowed: Shadowed, tmp_path: Pat
         station.play_presses(3)
         database = station.parts.store.path
         ids = station.bundle_id, station.parts.selection.shadow.bundle.digest
+        word = station.ask("confirm_press", press_id=station.results[2].press_id, verdict="good")
 
+    assert word["remarks"][0].startswith("the shadow takes over on request (`adopt_shadow`)")
     assert station.verdicts == alone.verdicts
     assert station.verdicts == ["pass", "pass", "fail"]
     assert [one.score for one in station.results] == [one.score for one in alone.results]

@@ -107,6 +107,7 @@ def full() -> U8:
     [
         (free_gel(), free_gel(), calibration(), None, "nothing presses the gel: colours change by 0 levels"),
         (burnt(), free_gel(), calibration(), None, r"\d+% of the contact is saturated.*lower the exposure"),
+        (full(), free_gel(), calibration(), None, r"\d% of the view show free gel, at least 5% are expected"),
         (
             free_gel()[:200],
             free_gel(),
