@@ -132,13 +132,18 @@ def test_a_symmetric_part_looks_the_same_in_each_of_its_poses() -> None:
 
 def test_a_part_at_the_rim_is_found_and_the_rest_is_unseen() -> None:
     """Its place is right although a part of it left the field, and the result states how much. Unseen places count
-    neither for the press nor in its map, and show the mean nominal press."""
-    found = registrar("BLOCK").register(parts.press(parts.BLOCK, RIM, noise=0.0))
+    neither for the press nor in its map, and show the mean nominal press. Where more of it is wanted it is refused."""
+    press = parts.press(parts.BLOCK, RIM, noise=0.0)
+    found = registrar("BLOCK").register(press)
+    refused = Registrar(replace(registrar("BLOCK").part, least_seen=0.95)).register(press)
     scores = np.where(found.seen, 1.0, 100.0).astype(np.float32)
     away = np.abs(found.rgb.astype(np.float32) - registrar("BLOCK").part.template).max(axis=2)
 
     assert _apart(found.pose, RIM, _bank_pose("BLOCK"))[0] < 0.5
-    assert found.seen_share < 0.95
+    assert found.seen_share == refused.seen_share < 0.95
+    assert found.refusal is None
+    lost = f"{1 - found.seen_share:.0%} of the part lie outside the inspected region, at most 5% are accepted"
+    assert str(refused.refusal).startswith(lost)
     assert found.unseen_in_press.any()
     assert (found.score(scores), found.in_press(scores).max()) == (1.0, 1.0)
     assert away[depth_inside(found.pose, (parts.SIDE, parts.SIDE)) < 0].max() <= 1
