@@ -40,11 +40,13 @@ def test_a_shift_is_an_alarm_until_somebody_acknowledges_it(config: Path) -> Non
     with SteppedStation(config) as again:
         again.play_until(lambda: again.loop.session is not None)
         restarted = again.alarm("drift")
+        again.play_presses(1)
         again.ask("acknowledge_alarm", alarm="drift")
         watch = again.find(DriftWatch)
         left = watch._bundles[watch._bundle]
         assert again.alarm("drift") is None
         assert {chart["measure"] for chart in again.said("drift")["charts"]} == set(left)
+        assert {name for _, name in watch._sums} == set(left), "what is drawn of the chart is gone too"
     with SteppedStation(config) as last:
         last.play_until(lambda: last.loop.session is not None)
         watch = last.find(DriftWatch)
