@@ -21,6 +21,13 @@ def find_minimum(response: F64, rest: F64, height: float, seen: F64) -> F64:
     return np.asarray(-part / np.sqrt(1 - part @ part))
 
 
+def test_the_powers_of_a_place_are_worked_by_hand() -> None:
+    """From -1 to 1 over the whole picture, of which a part may be asked for: here its right half."""
+    for box, across in (((0, 0, 1, 1), (-0.5, 0.5)), ((0.5, 0, 1, 1), (0.25, 0.75))):
+        by_hand = [[(1, u, v, u * u, v * v, u * v) for u in across] for v in (-0.5, 0.5)]
+        np.testing.assert_allclose(place_powers((2, 2), box), np.moveaxis(by_hand, -1, 0))
+
+
 def test_slopes_are_those_of_the_exact_minimum() -> None:
     """Of a ball under noise that no surface gives. Three calls of three steps in float32 are within 0.001 of a slope at
     every pixel that is tried."""
