@@ -117,8 +117,10 @@ def _audit_new_gel(world: World, station: Station) -> Iterator[str]:
     """A new gel is learnt before it is pressed: the station is not ready at once (docs/operations.md)."""
     age_s = (world.clock.now_ns - world.new_gel_ns) / S
     is_same_life = world.new_gel_ns > station.began_ns and not station.is_frozen
+    # A loop that has just gone on still looks at frames of before.
+    is_behind = any(0 <= world.new_gel_ns - ended_ns < S for _, ended_ns in station.hung)
     is_ready = station.loop.parts.status.view().state == "ready"
-    if is_same_life and LEARNS_S[0] < age_s < LEARNS_S[1] and is_ready:
+    if is_same_life and not is_behind and LEARNS_S[0] < age_s < LEARNS_S[1] and is_ready:
         yield f"the gel was replaced {age_s:.1f} s ago, and the station is ready at once"
 
 
