@@ -5,11 +5,17 @@ from dataclasses import dataclass
 from datetime import date
 
 from edge.clock import local_day
+from simulation.auditors_outbox import REPORTED_S
+from simulation.chosen import is_small
+from simulation.disk import ROOM_BYTES
 from simulation.hand import SLIPS_AFTER, MadePress
 from simulation.lives import Seen, Station
 from simulation.plc import Server
 from simulation.sensor import SERIAL, S
 from simulation.surroundings import WALL_NS, World
+
+OFFERED_S = 60.0
+"""What was refused is offered again within a minute."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +77,83 @@ def _always(world: World, station: Station) -> bool:
 
 def _is_disk_disturbed(world: World, station: Station) -> bool:
     return station.is_disk_disturbed
+
+
+def _is_disk_low(world: World, station: Station) -> bool:
+    return station.disk.free_bytes < ROOM_BYTES
+
+
+def _takes_no_file(world: World, station: Station) -> bool:
+    return station.disk.is_full or _is_disk_low(world, station)
+
+
+def _is_newest_judged(station: Station, since_ns: int) -> bool:
+    """The newest press was judged since then, and this life has recorded it."""
+    newest = station.seen[-1] if station.seen and station.config.archive.presses else None
+    is_own = newest is not None and newest.word in ("pass", "fail") and newest.noted_ns > station.began_ns
+    return is_own and newest.judged_ns > since_ns
+
+
+def _is_not_archived(world: World, station: Station) -> bool:
+    return _takes_no_file(world, station) and _is_newest_judged(station, station.disk.full_since_ns)
+
+
+def _may_not_be_archived(world: World, station: Station) -> bool:
+    return _takes_no_file(world, station) or not _is_newest_judged(station, world.lacks_files_ns)
+
+
+def _is_overview_away(world: World, station: Station) -> bool:
+    return world.overview is not None and world.overview.mood in ("unplugged", "silent", "frozen")
+
+
+def _is_overview_disturbed(world: World, station: Station) -> bool:
+    return world.overview is not None and world.overview.mood != "up"
+
+
+def _is_broker_disturbed(world: World, station: Station) -> bool:
+    return any(broker.mood != "up" for broker in world.brokers.values())
+
+
+def _is_refused(world: World, station: Station, alarm: str, topics: tuple[str, ...]) -> bool:
+    """A broker has refused such a message since the alarm was seen last, and a report can say so."""
+    since_ns = station.raised_ns.get(alarm, 0)
+    refused = [broker.refused for broker in world.brokers.values() if broker.mood != "silent"]
+    return not station.is_disk_disturbed and any(
+        at_ns > since_ns and name.startswith(topics) for one in refused for name, at_ns in one.items()
+    )
+
+
+def _is_row_refused(world: World, station: Station) -> bool:
+    is_kept = not is_small(station.config.store.outbox_mb)
+    return is_kept and _is_refused(world, station, "refused", ("result", "heatmap"))
+
+
+def _is_receiver_at_fault(world: World, station: Station) -> bool:
+    """A broker keeps no second connection, or wants no alarm, or not to know what the station is."""
+    is_alone = any(one.mood == "lets one in" and one.is_connected for one in world.brokers.values())
+    return is_alone or _is_refused(world, station, "receiver", ("alarm", "info"))
+
+
+def _has_lost_frames(world: World, station: Station) -> bool:
+    """More were dropped than may be, and no report has said so; those that a database cost have their own alarm."""
+    lost_ns, reported_ns = station.lost_frames_ns, round(REPORTED_S * S)
+    well_ns = station.so_since("its disk is well", not station.is_disk_disturbed)
+    is_disks = well_ns is None or (well_ns > station.began_ns + S and lost_ns - well_ns < reported_ns)
+    is_late = 0 < lost_ns < world.clock.now_ns - reported_ns
+    return is_late and station.raised_ns.get("overload", 0) < lost_ns and not is_disks
+
+
+def _is_disturbed(world: World, station: Station) -> bool:
+    return bool(world.sensor.troubles) or station.is_disk_disturbed
+
+
+def _is_otherwise(world: World, station: Station) -> bool:
+    is_off = station.loop.parts.selection.inspector.bundle is station.off_bundle
+    return is_off and not _is_disturbed(world, station)
+
+
+def _may_be_otherwise(world: World, station: Station) -> bool:
+    return station.off_bundle is not None or _is_disturbed(world, station)
 
 
 # Of what is recorded
@@ -235,6 +318,18 @@ SEEN = (
     Rule("gel_overload", _never, 0.0, _may_be_pressed, 8.0),
     # It ends with the next press that is recorded, or with the next report, every 10 s.
     Rule("store", _never, 0.0, _is_disk_disturbed, 14.0),
+    # What follows is said by a report, every 10 s.
+    Rule("disk", _is_disk_low, REPORTED_S, _is_disk_low, REPORTED_S),
+    Rule("refused", _is_row_refused, REPORTED_S, _is_broker_disturbed, OFFERED_S),
+    Rule("receiver", _is_receiver_at_fault, REPORTED_S, _is_broker_disturbed, OFFERED_S),
+    # It ends with a report in whose time no frame was dropped.
+    Rule("overload", _has_lost_frames, 0.5, _is_disturbed, 2 * REPORTED_S),
+    # It is said when a press is recorded, and ends with the next one that is archived.
+    Rule("archive", _is_not_archived, 2.0, _may_not_be_archived, 2.0),
+    # As the sensor; presses are refused, or come without its still.
+    Rule("overview", _is_overview_away, 6.5, _is_overview_disturbed, 14.0),
+    # A self-test scores golden frames while nothing presses the gel.
+    Rule("golden", _is_otherwise, 8.0, _may_be_otherwise, 8.0),
 )
 
 RECORDED = (
@@ -268,18 +363,15 @@ def audit_alarms(world: World, station: Station, rules: Sequence[Rule], *, is_he
     # A sensor that is opened again may be well, until it is found that it is not; a frozen one stays the same.
     # A pause between pictures that show nothing is not their blindness.
     sensor = world.sensor
-    again: object = (
-        sensor.given if sensor.is_frozen else sensor.openings,
-        sensor.is_silent,
-        sensor.is_holding,
-    )
-    if rules is RECORDED:
-        again = is_held_up or station.mounted_gel()[0]
+    given = sensor.given if sensor.is_frozen else sensor.openings
+    of = {"device": (given, sensor.is_silent, sensor.is_holding)}
+    station.raised_ns |= dict.fromkeys(raised, now_ns)
     for rule in rules:
         is_so = not is_held_up and rule.is_so(world, station)
         may = is_held_up or rule.may_be(world, station)
         if is_so and rule.alarm in raised:
             station.reached.add(f"the alarm {rule.alarm} was raised for its reason")
+        again = is_held_up or station.mounted_gel()[0] if rules is RECORDED else of.get(rule.alarm)
         so_since_ns = station.so_since(f"{rule.alarm} is so", is_so, again)
         mended_ns = mended.get(rule.alarm)
         # What is recorded may have come and gone between two looks.

@@ -102,7 +102,7 @@ def audit_now(world: World, station: Station) -> Iterator[str]:
     if since_ns is not None and now_ns - since_ns > ANSWERED_S * S:
         yield f"a request has no answer after {ANSWERED_S} s"
     if lost_ns is not None and now_ns - lost_ns > ANSWERED_S * S:
-        yield "the database was removed, and no alarm says so"
+        yield "presses or the database were lost, and no alarm says so"
     before_ns = now_ns - world.sensor.period_ns
     if now_ns // S != before_ns // S:
         yield from audit_full_outbox(world, station)

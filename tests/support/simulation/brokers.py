@@ -95,6 +95,8 @@ class Broker:
         self.chosen_kind = ""
         """What it refuses or ignores."""
         self.has_refused_results = False
+        self.refused: dict[str, int] = {}
+        """What it has refused at level 5 in this connection and not taken since, and when."""
         self.retained: dict[str, bytes] = {}
         self.results: dict[str, list[dict[str, object]]] = {}
         self.pieces: dict[str, list[dict[str, object]]] = {}
@@ -248,6 +250,7 @@ class Broker:
             self.said["a message refused"] += 1
             self.has_refused_results |= kind == "result"
             if link.level == "5" and not is_large:
+                self.refused.setdefault(_name(topic, sent.message.payload), self._clock.now_ns)
                 self._send(link, puback("5", sent.number, NOT_AUTHORIZED))
                 return
             if link.level == "5":
@@ -274,6 +277,8 @@ class Broker:
 
     def take(self, message: Message) -> None:
         """Take a message as a broker does, and hand it to the subscriber."""
+        if self.refused:
+            self.refused.pop(_name(message.topic, message.payload), None)
         if message.retain:
             self._compare(message)
             self.retained[message.topic] = message.payload
@@ -303,6 +308,8 @@ class Broker:
             return
         link.is_over = True
         link.sock.close()
+        if not link.is_second:
+            self.refused.clear()
         if link.will is not None:
             will = link.will
             self.take(Message(will.topic.removeprefix(f"{self.root}/"), will.payload, will.qos, will.retain))
@@ -369,3 +376,8 @@ class Broker:
         self.contact = told
         if told.state == "lift":
             self.lifts.setdefault(press_id, told)
+
+
+def _name(topic: str, payload: bytes) -> str:
+    """Name a message, also where it is sent again later."""
+    return f"result {json.loads(payload)['press_id']}" if topic == "result" else topic

@@ -24,6 +24,7 @@ def is_small(outbox_mb: float) -> bool:
     return outbox_mb < 1
 
 
+OTHERWISE = "score otherwise"
 SNAPSHOT, REFERENCE, OVERVIEW = "snapshot", "reference_press", "overview"
 """Features, two by the requests that they serve."""
 
@@ -106,7 +107,15 @@ FAMILIES = (
     ),
     Family({"silence": 10, "unplug": 5, "stop": 6, "request": 40}, {"has_page": True}),
     Family(
-        {"say": 20, SNAPSHOT: 20, "adopt": 6, "lose power": 2, "break shadow": 4, "break tool": 12},
+        {
+            "say": 20,
+            SNAPSHOT: 20,
+            "adopt": 6,
+            "lose power": 2,
+            "break shadow": 4,
+            "break tool": 12,
+            OTHERWISE: 4,
+        },
         {"has_shadow": True, "features": (SNAPSHOT,)},
     ),
     Family({"plc": 5, "second plc": 2, "select part": 8, "silence": 1}, {"plc": "modbus", "is_slow": True}),
@@ -207,7 +216,9 @@ class Chosen:
     def _mix(self, number: int, names: Sequence[str], rng: random.Random) -> "Chosen":
         """Choose faults of all kinds. Most are left out of a run, so that others meet; runs that follow each other have
         every kind and every meeting. A PLC is always disturbed, and met by a second one."""
-        drawn = [name for name in names if name not in ("begin piece", "hang", *LATER)]  # which come below
+        drawn = [
+            name for name in names if name not in ("begin piece", "hang", OTHERWISE, *LATER)
+        ]  # which come below
         rates = {name: rng.choice((1.0, 4.0)) for name in drawn if rng.random() < 0.1}
         rates |= {drawn[turn % len(drawn)]: 4.0 for turn in (number, 5 * number + 7)}
         rates[LATER[number % len(LATER)]] = 4.0

@@ -24,6 +24,7 @@ SOMETIMES = (
             *("sensor unplugged", "sensor silent", "sensor frozen", "sensor covered", "another sensor"),
             *("frames corrupt", "frames truncated", "frames broken inside", "frames jitter"),
             *("frames in a burst", "process frozen", "loop hangs", "disk full", "disk slow", "disk errs"),
+            *("disk nearly full", "golden frames otherwise"),
         )
         for when in ("", " during a press")
     ),

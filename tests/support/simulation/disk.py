@@ -19,6 +19,8 @@ from simulation.power import Unsynced
 
 TRANSACTION = ("BEGIN", "COMMIT", "ROLLBACK")
 WRITES = {"os.rename", "os.remove", "os.mkdir", "os.link", "os.truncate"}
+ROOM_BYTES = 10**11
+"""What the disk says that it has free."""
 
 
 class Disk:
@@ -33,6 +35,7 @@ class Disk:
         """Takes from the copy what a loss of power takes; None where only the process is killed."""
         self.is_full = False
         self.full_since_ns = 0
+        self.free_bytes = ROOM_BYTES
         self.locker = Locker(folder / "gelgate.db")
         self.copy: Path | None = None
         self.killed_at = ""
@@ -57,9 +60,11 @@ class Disk:
             self._write_file(event, *arguments[: 2 if event == "os.rename" else 1])
 
     def fill(self, room: int | None) -> None:
-        """Leave so many bytes for SQLite, and none for another file; None: room again."""
+        """Leave so many bytes for SQLite, and none for another file; None: room again. What leaves some is a quota, of
+        which the disk does not tell."""
         assert self.unsynced is not None
         self.is_full, self.unsynced.room = room is not None, room
+        self.free_bytes = 0 if room == 0 else ROOM_BYTES
 
     @contextmanager
     def sparing(self) -> Iterator[None]:

@@ -3,14 +3,18 @@
 import random
 from typing import TYPE_CHECKING
 
+from simulation.disk import ROOM_BYTES
 from simulation.process_faults import stop
 
 if TYPE_CHECKING:
     from simulation.schedule import Simulation
 
+LITTLE_BYTES = 10**6
+"""Free, and less than `store.free_mb`."""
+
 
 def fill_disk(run: "Simulation", rng: random.Random) -> float:
-    """No room on the disk, then room again."""
+    """No room on the disk, then room again, sometimes little at first."""
     disk = run.station.disk
     lasts_s, room = rng.uniform(8 if run.is_full_and_away else 1, 14), rng.choice((0, 0, 30_000))
     if "replace gel" in run.meeting:
@@ -22,8 +26,17 @@ def fill_disk(run: "Simulation", rng: random.Random) -> float:
     if run.station.loop.parts.selection.is_waiting:
         run.world.parts.forget(run.world.clock.now_ns)
 
+    is_little = room == 0 and rng.random() < 0.5
+
     def make_room() -> None:
         disk.fill(None)
+        run.world.may_lack_files(run.world.clock.now_ns)
+        if is_little and not run.world.hand.is_done:
+            disk.free_bytes = LITTLE_BYTES
+            run.for_a_while("disk nearly full", 14.0, make_more)
+
+    def make_more() -> None:
+        disk.free_bytes = ROOM_BYTES
         run.world.may_lack_files(run.world.clock.now_ns)
 
     return run.for_a_while("disk full", lasts_s, make_room)

@@ -530,4 +530,15 @@ FAILED = (
         schedule=(Fault(at_s=3.0, name="hang", seed=35),),
         says="lift was shown at # s, and press none was not recorded yet",
     ),
+    # A broker refused `info` in the middle of a connection: what it retained was not so, and no alarm said it.
+    Failure(
+        seed=1,
+        presses=14,
+        chosen=Chosen(),
+        schedule=(
+            Fault(at_s=3.0, name="hang up", seed=185),
+            Fault(at_s=4.0, name="select part", seed=1),
+        ),
+        says="the alarm receiver is not raised # s after its reason came",
+    ),
 )

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from simulation.asked import ASKED
-from simulation.chosen import MOODS, OVERVIEW, is_small
+from simulation.chosen import MOODS, OTHERWISE, OVERVIEW, is_small
 from simulation.disk_faults import bad_disk, fill_disk, lock_database, slow_disk
 from simulation.overview_camera import disturb_overview
 from simulation.people import PEOPLE
@@ -23,7 +23,7 @@ from simulation.process_faults import (
 )
 from simulation.sensor import S
 from simulation.sensor_faults import blind, damage, hold_back, shake, silence, unplug
-from simulation.shelf import break_shadow, exchange_bundle
+from simulation.shelf import break_shadow, exchange_bundle, score_otherwise
 
 if TYPE_CHECKING:
     from simulation.schedule import Simulation
@@ -79,6 +79,7 @@ def hang_up(run: "Simulation", rng: random.Random) -> float:
     if run.chosen.moods:  # and nothing else
         times_s = (3, 3, 4, 5) if is_small(run.chosen.outbox_mb) else (1, 2, 4, 8)
     lasts_s = rng.choice(times_s) * (4 if is_small(run.chosen.outbox_mb) else 1)
+    lasts_s = max(lasts_s, 20) if mood == "lets one in" else lasts_s  # until the station says so
     return run.for_a_while(f"{broker.name} {broker.mood}", lasts_s, broker.mend)
 
 
@@ -194,6 +195,7 @@ FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "lock database": lock_database,
     "exchange bundle": exchange_bundle,
     "break shadow": break_shadow,
+    OTHERWISE: score_otherwise,
     "second sensor": plug_second,
     "kill start": kill_start,
     "stop hanging": stop_hanging,
@@ -221,6 +223,7 @@ NEEDS_ANSWER = {
     "second sensor",
     "exchange bundle",
     "break shadow",
+    OTHERWISE,
     "lock database",
     "lose database",
     "freeze",

@@ -30,6 +30,7 @@ from edge.gateway.preflight import Preflight, _describe_store
 from edge.gateway.recorder import PressReport
 from edge.gateway.station_loop import StationLoop
 from edge.messaging.command_payloads import signature_of, signed_text
+from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.model.session import TrunkSessions
 from edge.press_stage import PressStage
@@ -46,6 +47,10 @@ Row = tuple[str, str, str, str]
 
 GAP_NS = 270_000_000
 """Frames further apart are an interruption (docs/contact.md)."""
+
+
+LOST_S = 2.0
+"""The frames of 0.8 s wait; of so many more than 5 % of all between two reports are dropped (docs/operations.md)."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +119,12 @@ class Station:
         """Called when it does."""
         self.hung: list[tuple[int, int]] = []
         """From when to when it hung."""
+        self.lost_frames_ns = 0
+        """When it went on after more frames than can wait, and no alarm has said so yet; 0 for never in this life."""
+        self.raised_ns: dict[str, int] = {}
+        """When an auditor has seen each alarm last."""
+        self.off_bundle: Bundle | None = None
+        """Of which golden frames score otherwise now."""
         self.told: list[tuple[int, str]] = []
         """The bundle that `info` named, and from when on."""
         self.fps = S / world.sensor.period_ns
@@ -133,7 +144,7 @@ class Station:
         self.lost_masters: list[str] = []
         """And the gels of presses of the master piece."""
         self.is_loss_open = False
-        """The database was removed, and nobody has acknowledged it."""
+        """Presses, or the database, were lost, and nobody has acknowledged it."""
         self.dropped: Mapping[str, int] = {}
         """Messages that the station says it has dropped, by what they were; of databases before `dropped_before`."""
         self.dropped_before = Counter[str]()
@@ -169,6 +180,7 @@ class Station:
         self.is_hanging = False
         self.fed_ns.clear()
         self._since.clear()
+        self.lost_frames_ns = 0
         self.acts_before = None
         clock = self.world.clock
         self.began_ns = clock.now_ns
@@ -294,10 +306,13 @@ class Station:
     def hang(self, where: str) -> None:
         """Do not go on here for a while, where a fault wants that; the loop calls it."""
         if self.hangs_in == where and not self.disk.is_dead:
-            self.hangs_in, began_ns = None, self.world.clock.now_ns
+            self.hangs_in, began_ns, given = None, self.world.clock.now_ns, self.world.sensor.given
             self.on_hang()
             self.world.connections.wait(lambda: not self.is_hanging, 3600, poll_s=0.05)
             self.hung.append((began_ns, self.world.clock.now_ns))
+            is_said = self.raised_ns.get("overload", 0) >= self.lost_frames_ns
+            if is_said and self.world.sensor.given - given > LOST_S * self.fps:
+                self.lost_frames_ns = self.world.clock.now_ns
 
     def _note_end(self) -> None:
         self.ended_ns.append(self.world.clock.now_ns)

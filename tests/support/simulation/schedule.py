@@ -29,6 +29,7 @@ from simulation.auditors_retained import audit_retained
 from simulation.chosen import MET, OVERVIEW, REFERENCE, TURN_S, Chosen, Fault
 from simulation.conditions import reached_at_end
 from simulation.connections import AT_ONCE_S, connecting
+from simulation.disk import Disk
 from simulation.faults import FAULTS, NEEDS_ANSWER, NEEDS_DISK
 from simulation.lives import Station
 from simulation.moments import MOMENTS, WAIT_FIRST, is_held_up
@@ -75,8 +76,6 @@ PATIENCE = 0.99
 """Of a fault that waits for its moment, each tenth of a second."""
 BROKERS_S = 0.8
 """So long after its begin a station has seen its sensor, and recorded no press."""
-ROOM_BYTES = 10**11
-"""What the disk says that it has free."""
 SINK = '[[sinks]]\nplugin = "simulated"\noptions = {{ host = "{name}", acknowledge_s = {at_once_s} }}\n'
 
 FILE = '[[sinks]]\nplugin = "jsonl"\noptions = {{ folder = "{folder}" }}\n'
@@ -147,7 +146,7 @@ class Simulation:
         disk = listening(self._disk) if self._needs_disk else nullcontext()
         with (
             reading_log(self.run.faults),
-            _standing_in(self.rng, self.run.seed, self.world.clock),
+            _standing_in(self.rng, self.run.seed, self.world.clock, self.station.disk),
             connecting(self.world.connections),
             disk as self.station.disk.unsynced,
         ):
@@ -387,7 +386,9 @@ class Simulation:
         disk, now_ns = self.station.disk, self.world.clock.now_ns
         for press in self.world.hand.presses:
             is_waiting = press.begin_ns > disk.full_since_ns and 0 < press.end_ns < now_ns - 2 * S
-            press.must_count |= is_waiting and not press.why - {"the station said 'halted'"}
+            is_lost = is_waiting and not (press.must_count or press.why - {"the station said 'halted'"})
+            press.must_count |= is_lost
+            self.station.is_loss_open |= is_lost
         self.world.sensor.disturb("it waited for room", (now_ns - disk.full_since_ns) / S + 2)
         # The count that waits for a broker is corrected at the next start, and then the broker comes back.
         if is_held_up(self) and self.rng.random() < 0.7:
@@ -456,9 +457,9 @@ class Simulation:
 
 
 @contextmanager
-def _standing_in(rng: random.Random, seed: int, clock: SimulatedClock) -> Iterator[None]:
+def _standing_in(rng: random.Random, seed: int, clock: SimulatedClock, disk: Disk) -> Iterator[None]:
     """Let the run give what the program takes from the machine: a generator without a seed gets one, and ids their
-    bytes; a computation takes no time, and the disk has the same room."""
+    bytes; a computation takes no time, and the disk says how much room it has."""
     real, urandom, perf_counter, disk_usage = random.Random, os.urandom, time.perf_counter, shutil.disk_usage
     ids = real(f"{seed} ids")
 
@@ -468,7 +469,7 @@ def _standing_in(rng: random.Random, seed: int, clock: SimulatedClock) -> Iterat
 
     random.Random, os.urandom = Drawn, ids.randbytes  # type: ignore[misc]
     time.perf_counter = lambda: clock.now_ns / S
-    shutil.disk_usage = lambda path: SimpleNamespace(free=ROOM_BYTES)  # type: ignore[assignment]
+    shutil.disk_usage = lambda path: SimpleNamespace(free=disk.free_bytes)  # type: ignore[assignment]
     try:
         yield
     finally:

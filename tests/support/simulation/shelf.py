@@ -5,10 +5,12 @@ import json
 import random
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from edge.model.bundle import GoldenFrame
 from simulation.bundles import PARTS
 from simulation.process_faults import stop
 
@@ -155,3 +157,24 @@ def break_shadow(run: "Simulation", rng: random.Random) -> float:
 
     put(is_broken=True)
     return run.for_a_while("shadow cut", rng.choice((8.0, 14.0)), partial(put, is_broken=False))
+
+
+def score_otherwise(run: "Simulation", rng: random.Random) -> float:
+    """The computer, or its memory, is not what it was: golden frames of the bundle in use score otherwise, until that
+    is mended. A self-test asks for their scores at once."""
+    station = run.station
+    if station.off_bundle is not None:
+        return -1.0
+    bundle = station.off_bundle = station.loop.parts.selection.inspector.bundle
+    sound = bundle.golden
+
+    def score(golden: tuple[GoldenFrame, ...]) -> None:
+        object.__setattr__(bundle, "golden", golden)
+        station.loop.parts.selection.golden.request()
+
+    def mend() -> None:
+        station.off_bundle = None
+        score(sound)
+
+    score(tuple(replace(one, rgb=one.rgb * 0) for one in sound))
+    return run.for_a_while("golden frames otherwise", rng.choice((12.0, 20.0)), mend)
