@@ -62,7 +62,9 @@ def _audit_shown(
     now_ns, presses, is_known = world.clock.now_ns, world.hand.presses, shown is not None
     state = station.loop.parts.status.view().state
     lost_ns = station.so_since(
-        f"the contact is not seen, {where}", is_sensor_lost(world, station) and is_known
+        f"the contact is not seen, {where}",
+        is_sensor_lost(world, station) and is_known,
+        world.sensor.is_holding,
     )
     halted_ns = station.so_since(
         f"the contact of no ready station {world.new_gel_ns}, {where}", is_known and state != "ready"

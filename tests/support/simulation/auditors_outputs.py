@@ -30,7 +30,8 @@ def audit_lamp(world: World, station: Station) -> Iterator[str]:
     press, relay, now_ns = world.hand.press, world.relay, world.clock.now_ns
     is_well = relay.mood == "up" and now_ns - relay.well_since_ns > OPENED_S * S and not station.is_frozen
     is_looked = is_well and not station.is_hanging  # else what the loop said last counts a while longer
-    is_lost = station.so_since("nothing is seen", is_sensor_lost(world, station) and is_looked)
+    is_unseen = is_sensor_lost(world, station) and is_looked
+    is_lost = station.so_since("nothing is seen", is_unseen, world.sensor.is_holding)  # a burst is seen
     hangs_ns = station.so_since("it hangs", station.is_hanging and is_well, len(station.hung))
     if not relay.is_on[LAMP] or not is_well:
         return

@@ -541,4 +541,19 @@ FAILED = (
         ),
         says="the alarm receiver is not raised # s after its reason came",
     ),
+    # A bus gave in a burst what it had held, and then came broken frames: the auditors did not count what was seen.
+    Failure(
+        seed=5015,
+        presses=22,
+        chosen=Chosen(brokers=2, sloth_s=0.01, level="3.1.1", has_file=True, has_robot=True, until_next=True),
+        schedule=(
+            Fault(at_s=3.238514, name="freeze", seed=1430718302),
+            Fault(at_s=22.131463, name="freeze", seed=2225678270),
+            Fault(at_s=24.643802, name="freeze", seed=958445621),
+            Fault(at_s=29.010671, name="hold back", seed=1347546086),
+            Fault(at_s=29.147069, name="freeze", seed=3150616640),
+            Fault(at_s=30.28446, name="damage", seed=996524367),
+        ),
+        says="nothing is seen for # s, and a pass is shown",
+    ),
 )
