@@ -52,8 +52,8 @@ OLDEST_S = 1.0
 LEARNS_S = (0.3, 0.6)
 """When the picture of a new gel is being learnt, after its replacement."""
 
-LONG_UNSEEN_S, NOTED_S = 4, 2
-"""A time without sight that is an act for certain, which is noted so long after all is well (docs/operations.md)."""
+LONG_UNSEEN_S, NOTED_S = 4, 0.5
+"""A time without sight that is an act for certain, noted so long after the gel is seen (docs/operations.md)."""
 
 RESTS_S = 0.45
 """After an interruption the exposure settles for 0.3 s, and then a press rests for 0.2 s (docs/contact.md)."""
@@ -83,6 +83,8 @@ def _audit_results(world: World, station: Station) -> Iterator[str]:
 
 def audit_now(world: World, station: Station) -> Iterator[str]:
     """What holds at each moment."""
+    if world.sensor.is_other_taken:  # docs/operations.md, Two sensors
+        yield "of two sensors the station has opened one, and its own is the other"
     yield from audit_lamp(world, station)
     yield from audit_contact(world, station)
     yield from audit_plcs(world, station)
@@ -316,7 +318,8 @@ def _audit_sight(world: World, station: Station) -> Iterator[str]:
     (docs/operations.md)."""
     now_ns, troubles = world.clock.now_ns, sorted(world.sensor.troubles)
     lost_ns = station.so_since("no sight", is_sensor_lost(world, station), troubles)
-    is_disturbed = troubles or station.is_disk_disturbed or station.is_held_up
+    is_unseen = is_sensor_lost(world, station) or world.sensor.damage[0] != ""
+    is_disturbed = is_unseen or station.is_disk_disturbed or station.is_held_up
     is_well = not is_disturbed and station.loop.parts.status.view().state == "ready"
     well_ns = station.so_since("sight", is_well)
     is_long = lost_ns is not None and now_ns - lost_ns > LONG_UNSEEN_S * S

@@ -111,7 +111,7 @@ FAMILIES = (
             "say": 20,
             SNAPSHOT: 20,
             "adopt": 6,
-            "lose power": 2,
+            "lose power": 6,
             "break shadow": 4,
             "break tool": 12,
             OTHERWISE: 4,
@@ -125,7 +125,8 @@ FAMILIES = (
         {"hang up": 40, "kill": 6, "stop": 4, "bad disk": 3, "slow disk": 3},
         {"moods": ANSWERS, "level": "5", "presses": 40},
     ),
-    Family({"lose power": 10, "kill": 6, "replace gel": 3}, {"has_file": True, "has_archive": True}),
+    # A kill before would be kinder: what was written is on the disk when the next process begins.
+    Family({"lose power": 10, "replace gel": 6}, {"has_file": True, "has_archive": True}),
     Family({"silence": 10, "unplug": 8, "hold back": 6, "blind": 6, "kill": 4}),
     Family({"plc": 5, "begin piece": 8, "stop": 2}, {"plc": "opcua", "piece": "free", "is_slow": True}),
     Family({"begin piece": 12, "stop": 2}, {"piece": "fixed", "presses": 40}),

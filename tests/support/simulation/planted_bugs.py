@@ -454,7 +454,7 @@ BUGS = (
         "plugins/devices/uvc/identity.py",
         "    if len(chosen) == 1:\n        return chosen[0]\n",
         "    if chosen:\n        return chosen[-1]\n",
-        "of a second sensor|another sensor than|the alarm device is still raised",
+        "of two sensors the station has opened one",
     ),
     Bug(
         "a page keeps its verdict over a halt",

@@ -16,6 +16,7 @@ class OpenSecond:
     def __init__(self, sensor: "Sensor") -> None:
         self._sensor, self.identity = sensor, sensor.identify_second()
         self._read_ns = self._sequence = 0
+        sensor.is_other_taken |= sensor.is_plugged
 
     def read(self, deadline_ns: int) -> CameraFrame:
         """Return a picture of now."""

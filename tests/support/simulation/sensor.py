@@ -59,6 +59,8 @@ class Sensor:
         """An equal one is plugged in too."""
         self.others: list[int] = []
         """The times of frames that the station has read from it."""
+        self.is_other_taken = False
+        """It has opened the other one of two."""
         self.openings = 0
         self.keeps_oldest = rng.random() < 0.5
         """Of frames that nobody reads; otherwise the newest."""

@@ -17,7 +17,7 @@ from simulation.process_faults import stop
 if TYPE_CHECKING:
     from simulation.schedule import Simulation
 
-BROKEN = ("of another part", "cut", "half copied", "changed under its manifest", "removed")
+BROKEN = ("changed under its manifest", "of another part", "cut", "half copied", "removed")
 """Such a bundle is refused (docs/operations.md, What happens when)."""
 
 
@@ -63,14 +63,15 @@ class Shelf:
     def put(self, part: int, kind: str) -> None:
         """Exchange one. kind: `newer`, or one of BROKEN."""
         path = self.paths[part]
-        shutil.rmtree(path, ignore_errors=True)
+        if kind != "changed under its manifest":
+            shutil.rmtree(path, ignore_errors=True)
         self.wrong.pop(part, None)
         self.is_asked = False
         if kind == "newer":
             self._revision += 1
             self._write_next(part)
             return
-        if kind != "removed":
+        if kind not in ("changed under its manifest", "removed"):
             shutil.copytree(self._originals[1 - part if kind == "of another part" else part], path)
         self.wrong[part], self.breaks = kind, self.breaks + 1
         head = path / "head.onnx"
@@ -122,7 +123,7 @@ def exchange_bundle(run: "Simulation", rng: random.Random) -> float:
         rng.choice(("newer", BROKEN[(run.run.seed + shelf.breaks) % len(BROKEN)])),
         rng.choice((*["reload"] * 4, "restart", "later")),
     )
-    lasts_s = rng.choice((2.0, 5.0, 15.0) if kind == "newer" else (14.0,))
+    lasts_s = rng.choice((2.0, 5.0, 15.0) if kind == "newer" else (9.0,))
     part = PARTS.index(run.world.parts.wanted) if rng.random() < 0.7 else rng.randrange(2)
     shelf.put(part, kind)
     run.reach_here(f"a bundle was {kind}")
