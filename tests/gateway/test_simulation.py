@@ -129,7 +129,9 @@ def test_a_planted_fault_is_named_and_its_schedule_plays_again(
     """With a broker that is away a subscriber lacks results. What is pasted fails again, and passes without the bug."""
     with monkeypatch.context() as planted:
         plant(planted)
-        run = Simulation(7, 6, bundles, tmp_path / "run", Chosen(1, False, {"hang up": 20.0}, fps=7.0)).play()
+        run = Simulation(
+            11, 6, bundles, tmp_path / "run", Chosen(1, False, {"hang up": 20.0}, fps=7.0)
+        ).play()
         failure = Failure.of(run)
         assert "results lack" in failure.says
         pasted = eval(failure.text(), {"Failure": Failure, "Chosen": Chosen, "Fault": Fault})

@@ -345,5 +345,7 @@ def _audit_requests(station: Station) -> Iterator[str]:
         if done > 1:
             yield f"the request {verb}, {transaction}, was done {done} times"
     for answer in station.answers:
+        if not station.heard.get(answer["transaction"], True):
+            yield f"the request {answer['verb']}, {answer['transaction']}, was sent while nobody listened, and came"
         if answer["status"] == "ok" and not station.allows(answer):
             yield f"the request {answer['verb']}, {answer['transaction']}, was done, and nobody may ask it so"

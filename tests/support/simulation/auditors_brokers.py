@@ -15,7 +15,8 @@ def audit_availability(world: World, station: Station) -> Iterator[str]:
     """`online` stands only where the broker holds the will that takes it back."""
     for broker in world.brokers.values():
         is_held = any(link.is_second and link.will is not None for link in broker.links)
-        is_false = broker.retained.get("availability") == b"online" and not is_held
+        is_current = "availability" not in broker.stale
+        is_false = broker.retained.get("availability") == b"online" and is_current and not is_held
         since_ns = station.so_since(f"{broker.name} holds no will", is_false and broker.mood != "silent")
         if since_ns is not None and world.clock.now_ns - since_ns > UNHELD_S * S:
             yield f"{broker.name} retains `online`, and holds no will"

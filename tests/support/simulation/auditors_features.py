@@ -70,7 +70,7 @@ def audit_master(world: World, station: Station) -> Iterator[str]:
         )
     for broker in world.brokers.values():
         retained = json.loads(broker.retained.get("reference", b"{}")).get("press_id")
-        if rows and retained not in (None, rows[-1][0]):
+        if rows and retained not in (None, rows[-1][0]) and "reference" not in broker.stale:
             yield f"{broker.name} retains press {retained} of the master piece, and it is {rows[-1][0]}"
 
 

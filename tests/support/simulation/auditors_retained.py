@@ -20,12 +20,14 @@ def audit_retained(world: World, station: Station) -> Iterator[str]:
     for broker in world.brokers.values():
         kept = {topic: _read(payload) for topic, payload in broker.retained.items()}
         last = kept.get("last/press")
-        if newest and last is not None and last["press_id"] != newest[0][0]:  # a broker may forget it
+        is_known = last is not None and "last/press" not in broker.stale  # a broker may forget it
+        if newest and last is not None and is_known and last["press_id"] != newest[0][0]:
             yield f"{broker.name} retains the press {last['press_id']} as the last, and it is {newest[0][0]}"
         gel = kept.get("gel")
         if (
             session
             and gel
+            and "gel" not in broker.stale
             and (gel["gel_id"], gel["presses"]) != (session.gel.gel_id, gels[session.gel.gel_id])
         ):
             yield f"{broker.name} retains the gel {gel['gel_id']} with {gel['presses']} presses, which is not so"

@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 S = 10**9
 NARROW_BYTES = 900
 """Less than a picture has, and more than a state."""
+SAVED_S = 20.0
+"""How often it writes on its disk what it retains."""
 WELL_S = 3.0
 """What was sent to a broker that hung has come so long after it goes on."""
 TAKES_NOTHING = ("away", "silent", "kicks", "denies")
@@ -71,6 +73,8 @@ class Link:
     client_id: str = ""
     will: Message | None = None
     is_subscribed: bool = False
+    expiry_s: float = 0.0
+    """So long after its end the session is kept."""
     data: bytearray = field(default_factory=bytearray)
     answers: deque[tuple[int, bytes]] = field(default_factory=deque)
     """When each is sent."""
@@ -80,6 +84,15 @@ class Link:
     def is_second(self) -> bool:
         """It only holds the will of `availability`."""
         return self.client_id.endswith("-availability")
+
+
+@dataclass
+class Session:
+    """What a broker keeps of a client that is away. waiting: what was sent to it meanwhile."""
+
+    level: str
+    until_ns: float
+    waiting: list[bytes] = field(default_factory=list)
 
 
 class Broker:
@@ -98,6 +111,13 @@ class Broker:
         self.refused: dict[str, int] = {}
         """What it has refused at level 5 in this connection and not taken since, and when."""
         self.retained: dict[str, bytes] = {}
+        self.saved: dict[str, bytes] = {}
+        """What it retained when it last wrote that."""
+        self.saved_ns = 0
+        self.stale = set[str]()
+        """Topics on which it retains what is older since it crashed, and nothing has come."""
+        self.sessions: dict[str, Session] = {}
+        """Of clients that are away and have subscribed, by client id."""
         self.results: dict[str, list[dict[str, object]]] = {}
         self.pieces: dict[str, list[dict[str, object]]] = {}
         self.order: list[str] = []
@@ -149,6 +169,16 @@ class Broker:
             self._hand_over(message)
         self._delayed.clear()
 
+    def crash(self) -> None:
+        """It ends at once: no will is published, no session kept, and it retains what it had last written."""
+        for link in self.links:
+            self.stale |= set() if link.will is None else {link.will.topic.removeprefix(f"{self.root}/")}
+            link.will, link.expiry_s = None, 0.0
+        self.sessions.clear()
+        topics = self.retained.keys() | self.saved.keys()
+        self.stale |= {topic for topic in topics if self.retained.get(topic) != self.saved.get(topic)}
+        self.retained = dict(self.saved)
+
     def close(self) -> None:
         """The run is over."""
         for link in self.links:
@@ -160,8 +190,10 @@ class Broker:
         self.links.append(Link(sock))
 
     def ask(self, verb: str, payload: bytes, response_topic: str | None = None) -> bool:
-        """Send a request to the station; returns whether it listens."""
+        """Send a request to the station; returns whether it listens. One that is away finds it in its session."""
         links = [link for link in self.links if link.is_subscribed and not link.is_over]
+        for kept in () if links else self.sessions.values():
+            kept.waiting.append(publish(kept.level, f"{self.root}/cmd/{verb}", payload, response_topic))
         for link in links[-1:]:
             link.answers.append(
                 (
@@ -181,6 +213,8 @@ class Broker:
         """Do what has come, and send what is due."""
         if self.mood == "silent":
             return
+        if self._clock.now_ns - self.saved_ns > SAVED_S * S:
+            self.saved, self.saved_ns = dict(self.retained), self._clock.now_ns
         for link in list(self.links):
             self._read(link)
             while not link.is_over and link.answers and link.answers[0][0] <= self._clock.now_ns:
@@ -236,8 +270,13 @@ class Broker:
         for other in self.links:
             if other is not link and other.client_id == link.client_id:
                 self._kick(other)
-        link.will = said.will
-        self._send(link, connack(link.level, 0, NARROW_BYTES if self.mood == "is narrow" else None))
+        link.will, link.expiry_s = said.will, said.expiry_s
+        kept = self.sessions.pop(link.client_id, None)
+        link.is_subscribed = bool(kept and kept.until_ns > self._clock.now_ns and not said.is_clean)
+        largest = NARROW_BYTES if self.mood == "is narrow" else None
+        self._send(link, connack(link.level, 0, largest, is_kept=link.is_subscribed))
+        if kept is not None and link.is_subscribed:
+            link.answers += [(self._clock.now_ns, sent) for sent in kept.waiting]
         if self.mood == "kicks" and not link.is_second:
             self._kick(link)
 
@@ -281,6 +320,7 @@ class Broker:
             self.refused.pop(_name(message.topic, message.payload), None)
         if message.retain:
             self._compare(message)
+            self.stale.discard(message.topic)
             self.retained[message.topic] = message.payload
             if not message.payload:
                 del self.retained[message.topic]
@@ -310,6 +350,8 @@ class Broker:
         link.sock.close()
         if not link.is_second:
             self.refused.clear()
+        if link.expiry_s and link.is_subscribed:
+            self.sessions[link.client_id] = Session(link.level, self._clock.now_ns + link.expiry_s * S)
         if link.will is not None:
             will = link.will
             self.take(Message(will.topic.removeprefix(f"{self.root}/"), will.payload, will.qos, will.retain))

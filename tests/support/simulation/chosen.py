@@ -79,9 +79,12 @@ a part select."""
 MOODS = (
     *("away", "restarts without memory", "silent", "forgets answers", "refuses", "restarts without memory"),
     *("kicks", "is narrow", "doubles", "delays", "answers late", "answers another", "ignores", "denies"),
+    *("lets one in", "restarts with an old memory"),
+)
+CONNECTIONS = (
+    *("away", "restarts without memory", "restarts with an old memory", "silent", "kicks", "denies"),
     "lets one in",
 )
-CONNECTIONS = ("away", "restarts without memory", "silent", "kicks", "denies", "lets one in")
 ANSWERS = tuple(mood for mood in MOODS if mood not in CONNECTIONS)
 """What brokers may do."""
 
@@ -120,7 +123,7 @@ FAMILIES = (
     ),
     Family({"plc": 5, "second plc": 2, "select part": 8, "silence": 1}, {"plc": "modbus", "is_slow": True}),
     Family({"second sensor": 20, "kill start": 6, "stop hanging": 6, "lose database": 4}),
-    Family({"hang up": 40, "stop": 4, "step clock": 6}, {"moods": CONNECTIONS, "presses": 30}),
+    Family({"hang up": 40, "stop": 4, "step clock": 6, "request": 40}, {"moods": CONNECTIONS, "presses": 30}),
     Family(
         {"hang up": 40, "kill": 6, "stop": 4, "bad disk": 3, "slow disk": 3},
         {"moods": ANSWERS, "level": "5", "presses": 40},

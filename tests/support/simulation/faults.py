@@ -9,7 +9,7 @@ from simulation.asked import ASKED
 from simulation.chosen import MOODS, OTHERWISE, OVERVIEW, is_small
 from simulation.disk_faults import bad_disk, fill_disk, lock_database, slow_disk
 from simulation.overview_camera import disturb_overview
-from simulation.people import PEOPLE
+from simulation.people import PEOPLE, request
 from simulation.plc import STEPS, Server
 from simulation.process_faults import (
     freeze,
@@ -72,7 +72,9 @@ def hang_up(run: "Simulation", rng: random.Random) -> float:
     )
     broker.chosen_kind = rng.choice(kinds)
     run.reach(f"a broker {mood}")
-    broker.go("away" if mood == "restarts without memory" else mood)
+    if mood == "restarts with an old memory":
+        broker.crash()
+    broker.go("away" if mood.startswith("restarts") else mood)
     if mood == "restarts without memory":
         broker.retained.clear()
     times_s = (8, 8, 20, 20) if run.is_full_and_away else (1, 4, 8, 20)
@@ -80,6 +82,8 @@ def hang_up(run: "Simulation", rng: random.Random) -> float:
         times_s = (3, 3, 4, 5) if is_small(run.chosen.outbox_mb) else (1, 2, 4, 8)
     lasts_s = rng.choice(times_s) * (4 if is_small(run.chosen.outbox_mb) else 1)
     lasts_s = max(lasts_s, 20) if mood == "lets one in" else lasts_s  # until the station says so
+    if rng.random() < 0.5:  # people do not know that it is away
+        run.later(lasts_s / 2, lambda: request(run, rng))
     return run.for_a_while(f"{broker.name} {broker.mood}", lasts_s, broker.mend)
 
 

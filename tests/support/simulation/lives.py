@@ -138,6 +138,8 @@ class Station:
         """What must not be, and was seen on the way."""
         self.signed = set[str]()
         """Transactions that were signed with the station's secret."""
+        self.heard: dict[str, bool] = {}
+        """Transactions, and whether the station was connected when one of their requests was sent."""
         self.asking: list[threading.Thread] = []
         self.lost_rows: list[Row] = []
         """Of databases that were removed."""
@@ -417,7 +419,9 @@ class Station:
         if secret == SECRET:
             self.signed.add(transaction)
         broker = next(iter(self.world.brokers.values()))
-        broker.ask(verb, json.dumps(content).encode(), f"{broker.root}/state" if elsewhere else None)
+        topic = f"{broker.root}/state" if elsewhere else None
+        is_heard = broker.ask(verb, json.dumps(content).encode(), topic)
+        self.heard[transaction] = is_heard or self.heard.get(transaction, False)
         return transaction
 
     def answer(self, do: Callable[[str, bytes], bytes], verb: str, payload: bytes) -> bytes:

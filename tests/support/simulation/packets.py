@@ -1,5 +1,6 @@
 """MQTT packets of both levels, as a broker reads and writes them. Ref: MQTT 5.0 and 3.1.1 (OASIS), chapters 2 and 3."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -31,6 +32,10 @@ class Connect:
     level: str
     client_id: str
     will: Message | None
+    is_clean: bool
+    """What the broker has kept of it is to be forgotten."""
+    expiry_s: float
+    """So long after the end of the connection the broker keeps what it knows of it."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +61,12 @@ def take_packets(data: bytearray) -> Iterator[tuple[int, bytes]]:
 def read_connect(body: bytes) -> Connect:
     """Read a CONNECT."""
     level, flags, at = ("5" if body[6] == 5 else "3.1.1"), body[7], 10
+    is_clean = bool(flags & 0x02)
+    expiry_s = 0.0 if is_clean else math.inf
     if level == "5":
-        at = _skip(body, at)
+        said = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        said.unpack(body[at:])  # type: ignore[no-untyped-call]
+        expiry_s, at = getattr(said, "SessionExpiryInterval", 0.0), _skip(body, at)
     client_id, at = _field(body, at)
     will = None
     if flags & 0x04:
@@ -66,7 +75,7 @@ def read_connect(body: bytes) -> Connect:
         topic, at = _field(body, at)
         payload, at = _field(body, at)
         will = Message(topic.decode(), payload, flags >> 3 & 3, bool(flags & 0x20))
-    return Connect(level, client_id.decode(), will)
+    return Connect(level, client_id.decode(), will, is_clean, expiry_s)
 
 
 def read_publish(first: int, body: bytes, level: str) -> Publish:
@@ -90,14 +99,15 @@ def packet(kind: int, body: bytes = b"", flags: int = 0) -> bytes:
             return bytes([kind << 4 | flags]) + bytes(parts) + body
 
 
-def connack(level: str, code: int = 0, largest: int | None = None) -> bytes:
-    """Accept or refuse a connection. largest: packet in bytes, which only level 5 can say."""
+def connack(level: str, code: int = 0, largest: int | None = None, *, is_kept: bool = False) -> bytes:
+    """Accept or refuse a connection. largest: packet in bytes, which only level 5 can say. is_kept: what the broker
+    knows of the client's last connection goes on."""
     if level != "5":
-        return packet(CONNACK, bytes([0, REFUSED_AT_3.get(code, code)]))
+        return packet(CONNACK, bytes([is_kept, REFUSED_AT_3.get(code, code)]))
     said = Properties(PacketTypes.CONNACK)  # type: ignore[no-untyped-call]
     if largest is not None:
         said.MaximumPacketSize = largest
-    return packet(CONNACK, bytes([0, code]) + said.pack())  # type: ignore[no-untyped-call]
+    return packet(CONNACK, bytes([is_kept, code]) + said.pack())  # type: ignore[no-untyped-call]
 
 
 def puback(level: str, number: int, code: int = 0) -> bytes:

@@ -456,6 +456,14 @@ BUGS = (
         "    if chosen:\n        return chosen[-1]\n",
         "of two sensors the station has opened one",
     ),
+    # mqtt.md: 'a request that is sent while the station is not connected is lost'.
+    Bug(
+        "a session is kept at the broker",
+        "edge/messaging/mqtt_connection.py",
+        "clean_session=None if is_5 else True",
+        "clean_session=None if is_5 else False",
+        "while nobody listened",
+    ),
     Bug(
         "a page keeps its verdict over a halt",
         "edge/page/shown.py",
