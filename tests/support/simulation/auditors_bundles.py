@@ -8,6 +8,9 @@ from simulation.lives import Station
 from simulation.sensor import S
 from simulation.surroundings import World
 
+REPORTED_S = 2.0
+"""What was read again is an act by then, also while something presses."""
+WAITS = "read at the next start alone: "
 OPENED_S = 6.0
 """What was asked for is opened by then, and a press has ended."""
 
@@ -25,6 +28,10 @@ def audit_bundles(world: World, station: Station) -> Iterator[str]:
     if shelf.parts.get(told) != part:
         yield f"bundle {told[:8]} is told as that of {part}, and is of {shelf.parts.get(told, 'no whole bundle')}"
     is_well = view.state == "ready" and not station.is_held_up and not station.is_disk_disturbed
+    asked = world.edited.asked
+    waits_ns = station.so_since("a configuration was edited", is_well and asked is not None, asked)
+    if waits_ns is not None and now_ns - waits_ns > REPORTED_S * S:
+        yield from _audit_waiting(world, station)
     well_ns = station.so_since("a bundle is awaited", is_well and shelf.asked > 0, (shelf.asked, part))
     if well_ns is None or now_ns - well_ns < OPENED_S * S:
         return
@@ -33,6 +40,20 @@ def audit_bundles(world: World, station: Station) -> Iterator[str]:
         yield f"the bundle is {[*shelf.wrong.values()]}, and the alarm bundle is not raised"
     if shelf.is_asked and number not in shelf.wrong and told != shelf.ids[number]:
         yield f"bundle {shelf.ids[number][:8]} of {part} was to be opened, and {told[:8]} is told"
+
+
+def _audit_waiting(world: World, station: Station) -> Iterator[str]:
+    """The acts have what else of the configuration waits for a restart (docs/operations.md, Exchange a bundle)."""
+    edited = world.edited
+    life, before = edited.asked or (0, 0)
+    edited.asked = None
+    if life != station.lives:
+        return
+    query = "SELECT sentence, (SELECT count(*) FROM acts WHERE verb = 'open_bundles') FROM acts WHERE verb = "
+    sentence, openings = station.disk.read(f"{query} 'open_bundles' ORDER BY act_id DESC LIMIT 1")[0]
+    is_waiting = edited.stats_s != station.config.station.stats_s
+    if openings == before or (f"{WAITS}station" in (sentence or "")) is not is_waiting:
+        yield f"stats_s is {edited.stats_s}, and was at the start {station.config.station.stats_s}: act '{sentence}'"
 
 
 def audit_judges(world: World, station: Station) -> Iterator[str]:

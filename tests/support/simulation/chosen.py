@@ -55,7 +55,10 @@ MEETING_STEPS = (0, 5, 9, 12)
 TURN_S, MET = 12, 12.0
 """A turn lasts so long at most; and of each fault of a meeting there are so many in a minute of it."""
 
-LATER = ("lock database", "exchange bundle", "second sensor", "kill start", "stop hanging")
+LATER = (
+    *("lock database", "exchange bundle", "second sensor", "kill start", "stop hanging"),
+    "edit configuration",
+)
 """Faults that take turns in runs of all kinds, one in each."""
 
 WORK = (
@@ -101,7 +104,7 @@ FAMILIES = (
     Family({"select part": 30, "stop": 4}, {"trigger": "command", "is_slow": True}),
     Family({"hang": 20, "freeze": 6, "relay": 4}, {"has_robot": True, "until_next": True, "presses": 40}),
     Family({"lock database": 60}, {"presses": 40}),
-    Family({"exchange bundle": 40, "select part": 2}, {"presses": 40}),
+    Family({"exchange bundle": 40, "edit configuration": 20, "select part": 2}, {"presses": 40}),
     Family({REFERENCE: 12, "replace gel": 6, "relearn": 3}, {"features": (REFERENCE,)}),
     Family({OVERVIEW: 12}, {"features": (OVERVIEW,), "presses": 40}),
     Family(

@@ -8,6 +8,7 @@ from simulation.alarms import RECORDED, SEEN
 from simulation.brokers import Broker
 from simulation.bundles import PARTS
 from simulation.chosen import MOODS
+from simulation.configuration import KINDS
 from simulation.lives import Station
 from simulation.options import MESSAGES
 from simulation.outputs import GATE, LAMP, OVERLOAD, REJECT
@@ -33,6 +34,7 @@ SOMETIMES = (
     *(f"a broker {mood}" for mood in sorted(set(MOODS))),
     *(f"the disk failed to {what}" for what in ("read", "write", "sync")),
     *(f"a {kind} request" for kind in ("signed", "forged", "unsigned", "repeated")),
+    *(f"a person {kind}" for kind in KINDS),
     "a person called a part good",
     "a person called a part damaged",
     "a person took a sound part for damaged",

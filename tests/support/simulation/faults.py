@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from simulation.asked import ASKED
 from simulation.chosen import MOODS, OTHERWISE, OVERVIEW, is_small
+from simulation.configuration import edit_configuration
 from simulation.disk_faults import bad_disk, fill_disk, lock_database, slow_disk
 from simulation.overview_camera import disturb_overview
 from simulation.people import PEOPLE, request
@@ -200,6 +201,7 @@ FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "exchange bundle": exchange_bundle,
     "break shadow": break_shadow,
     OTHERWISE: score_otherwise,
+    "edit configuration": edit_configuration,
     "second sensor": plug_second,
     "kill start": kill_start,
     "stop hanging": stop_hanging,
@@ -228,6 +230,7 @@ NEEDS_ANSWER = {
     "exchange bundle",
     "break shadow",
     OTHERWISE,
+    "edit configuration",
     "lock database",
     "lose database",
     "freeze",

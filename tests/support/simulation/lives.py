@@ -87,7 +87,9 @@ class Asked:
 class Station:
     """One station over all of its lives."""
 
-    def __init__(self, world: World, folder: Path, read_config: Callable[[], Config]) -> None:
+    def __init__(
+        self, world: World, folder: Path, begin: Callable[[], Config], read_again: Callable[[], Config]
+    ) -> None:
         self.world, self.disk = world, Disk(folder)
         self.lives = 0
         self.seen: list[Seen] = []
@@ -167,7 +169,7 @@ class Station:
         self.has_lost_pieces = False
         """A database was removed, so an id may be used again."""
         self._asked = 0
-        self._read_config = read_config
+        self._read_config, self._read_again = begin, read_again
         self._trunks = TrunkSessions(1)
         self._closing = ExitStack()
         self.loop: StationLoop
@@ -205,7 +207,8 @@ class Station:
                 f"the gateway starts with a bundle that is {[*self.world.shelf.wrong.values()]}"
             )
         self.world.shelf.note_asked()
-        opened = open_station(self.config, clock, self._note, checked, stages={"witness": Witness(self)})
+        witness = {"witness": Witness(self)}
+        opened = open_station(self.config, clock, self._note, checked, self._read_again, witness)
         self.loop = self._closing.enter_context(opened)
         self.shared.begin(self)
         self.loop.parts.pictures.recall()
@@ -357,6 +360,10 @@ class Station:
         is_there = self.disk.read("SELECT 1 FROM sqlite_master WHERE name = 'reference_presses'")
         query = "SELECT gel_id FROM reference_presses ORDER BY number"
         return [*self.lost_masters, *(gel for (gel,) in (self.disk.read(query) if is_there else ()))]
+
+    def count_openings(self) -> int:
+        """Count the times that bundles were opened again, as the acts have them."""
+        return int(self.disk.read("SELECT count(*) FROM acts WHERE verb = 'open_bundles'")[0][0])
 
     def bury(self) -> None:
         """The process is dead: its folder is as it was at that point."""

@@ -464,6 +464,21 @@ BUGS = (
         "clean_session=None if is_5 else False",
         "while nobody listened",
     ),
+    # operations.md: 'the acts have what else of the configuration waits for a restart'.
+    Bug(
+        "what waits for a restart is not said",
+        "edge/gateway/opening.py",
+        "left=_find_left(at_start, now)",
+        "left=()",
+        "stats_s is",
+    ),
+    Bug(
+        "a reload takes the configuration of the start",
+        "edge/gateway/build.py",
+        "opener.open_again(config, read_again(), in_use)",
+        "opener.open_again(config, config, in_use)",
+        "in a configuration|was to be opened|stats_s is",
+    ),
     Bug(
         "a page keeps its verdict over a halt",
         "edge/page/shown.py",

@@ -128,7 +128,7 @@ class Simulation:
             file.chmod(0o600)
         self.world.shelf = Shelf(folder / "bundles", bundles)
         self._bundles, self.order = self.world.shelf.paths, list(self.world.brokers)
-        self.station = Station(self.world, self._disk, self._read_config)
+        self.station = Station(self.world, self._disk, self._begin_config, self._read_config)
         self.browser = Browser(self, random.Random(f"{seed} browser"))
         self._calm_ns: int | None = None
         self._asked_ns = 0
@@ -413,7 +413,11 @@ class Simulation:
             self.reach("a start failed, and the next one did not")
             is_bundles = not isinstance(error, StoreError)
             self.reach("a start was refused for its bundle") if is_bundles else None
-            ends = ("bundle of",) if is_bundles else ("disk errs", "disk full", "database locked")
+            ends = (
+                ("bundle of", "configuration")
+                if is_bundles
+                else ("disk errs", "disk full", "database locked")
+            )
             found = [name for name in self.ending if name.startswith(ends)]
             if not found:
                 raise
@@ -424,12 +428,17 @@ class Simulation:
         for actor in self._threads.own:
             actor.due_ns = self.world.clock.now_ns
 
-    def _read_config(self) -> Config:
+    def _begin_config(self) -> Config:
         """Read what a person has written, who gives the brokers another order."""
         before = list(self.order)
         self.rng.shuffle(self.order)
         if self.order != before and self.station.lives > 1:
             self.reach("restarted with the sinks in another order")
+        self.write_config()
+        return self._read_config()
+
+    def write_config(self) -> None:
+        """Write what a person has edited."""
         archive = f"[archive]\npresses = {ARCHIVED if self.chosen.has_archive else 0}\n"
         paths = "".join(f'[[inspection.bundles]]\npath = "{path}"\n' for path in self._bundles)
         shadows = [str(self._bundles[0].with_name("shadow"))] if self.chosen.has_shadow else []
@@ -450,7 +459,9 @@ class Simulation:
         text += HANDSHAKE if self.world.has_plc else ""
         text += FILE.format(folder=self._disk / MESSAGES) if self.chosen.has_file else ""
         text += PAGE.format(file=self._token) if self.chosen.has_page else ""
-        self._config.write_text(text)
+        self._config.write_text(self.world.edited.write(text))
+
+    def _read_config(self) -> Config:
         config = load_config(self._config)
         store = config.store.model_copy(update={"outbox_mb": self.chosen.outbox_mb})
         return config.model_copy(update={"store": store})

@@ -89,6 +89,13 @@ class Shelf:
         whole = (self._shadow / "head.onnx").read_bytes()
         head.write_bytes(whole[:-100] if is_broken else whole)
 
+    def move(self, part: int) -> None:
+        """Put a newer one into another folder."""
+        shutil.rmtree(self.paths[part])
+        self._revision += 1
+        self.paths[part] = self.paths[part].with_name(f"{PARTS[part]} {self._revision}")
+        self._write_next(part)
+
     def note_asked(self) -> None:
         """All that is there is to be opened."""
         self.asked, self.is_asked = self.asked + 1, True

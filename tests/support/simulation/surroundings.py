@@ -19,6 +19,7 @@ from edge.core.press import Press
 from simulation.brokers import Broker
 from simulation.bundles import PARTS
 from simulation.chosen import OVERVIEW, Chosen
+from simulation.configuration import Edited
 from simulation.connections import Connections
 from simulation.hand import MadePress
 from simulation.outputs import LIFT, OVERLOAD, Pedal, Relay
@@ -120,6 +121,7 @@ class World:
         }
         self.shelf: Shelf
         """The bundles of the run."""
+        self.edited = Edited()
         self.is_dead = lambda: False
         self.may_refuse = lambda: False  # what would have to be recorded, or done in time
         self.connections = Connections(self.clock, self.brokers, lambda: self.is_dead())
