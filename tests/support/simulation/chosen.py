@@ -156,6 +156,8 @@ class Chosen:
     """Of MQTT, that the brokers speak: `5`, `3.1.1`, or `silent at 5`."""
     trigger: str = "automatic"
     """Or `command`: a person asks for most verdicts, and forgets some."""
+    has_pedal: bool = False
+    """And asks with it; otherwise a pedal acknowledges alarms."""
     outbox_mb: float = 512
     has_file: bool = False
     """A `jsonl` sink, too."""
@@ -209,6 +211,7 @@ class Chosen:
             has_shadow=rng.random() < 0.25,
             has_robot=rng.random() < 0.3,
             is_lenient=number // 2 % 2 == 1,
+            has_pedal=number // 2 % 2 == 0,
             has_serial=number // 6 % 2 == 1,
             forgets=number % 2 == 0,
             is_slow=rng.random() < 0.2,
@@ -217,7 +220,8 @@ class Chosen:
         )
         if seed % 4:
             family = FAMILIES[(seed - number - 1) % len(FAMILIES)]
-            return replace(chosen, rates=family.rates, **family.options)
+            chosen = replace(chosen, rates=family.rates, **family.options)
+            return replace(chosen, has_pedal=chosen.has_pedal and chosen.trigger == "command")
         return chosen._mix(number, names, rng)
 
     def _mix(self, number: int, names: Sequence[str], rng: random.Random) -> "Chosen":
@@ -236,6 +240,7 @@ class Chosen:
         chosen = replace(
             self,
             trigger=trigger,
+            has_pedal=self.has_pedal and trigger == "command",
             plc=plc,
             piece=piece,
             outbox_mb=rng.choice((*[512] * 8, SMALL_MB, TINY_MB)),

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 
 S = 10**9
 LAMP, REJECT, GATE, LIFT, FREE, OVERLOAD = 1, 2, 3, 4, 5, 6
+TREADS_S = 0.35
+"""So long a person holds a pedal down."""
+PLUGGED_S = 8.0
+"""A pedal that is plugged in is opened so soon."""
 DEADLINE_S, PULSE_S = 0.5, 0.2
 """Of both pulses: a part that fails is thrown out, one that passes is let through."""
 
@@ -99,17 +103,28 @@ class Pedal:
     def __init__(self, clock: "SimulatedClock") -> None:
         self._clock = clock
         self.mood, self.well_since_ns = "up", 0
+        self._down_until_ns = 0
         self._was_down = False
 
     def mend(self) -> None:
         """It is plugged in, and nobody treads on it."""
         self.mood, self.well_since_ns = "up", self._clock.now_ns
 
+    def step_on(self) -> None:
+        """Somebody treads on it, once."""
+        self._down_until_ns = self._clock.now_ns + round(TREADS_S * S)
+
+    @property
+    def is_sure(self) -> bool:
+        """Who treads on it now is heard: it was plugged in, and nobody trod, since it was opened at the latest."""
+        return self.mood == "up" and self._clock.now_ns - self.well_since_ns > PLUGGED_S * S
+
     def read(self, deadline_ns: int) -> bool | None:
         """Return a change; it waits for none, for the schedule does."""
         if self.mood == "unplugged":
             raise DeviceLost("the pedal was unplugged")
-        is_down = self.mood == "stuck" or (self.mood == "trodden" and self._clock.now_ns // (S // 5) % 2 == 0)
+        is_down = self.mood == "stuck" or self._clock.now_ns < self._down_until_ns
+        is_down |= self.mood == "trodden" and self._clock.now_ns // (S // 5) % 2 == 0
         was_down, self._was_down = self._was_down, is_down
         return is_down if is_down != was_down else None
 

@@ -479,6 +479,15 @@ BUGS = (
         "opener.open_again(config, config, in_use)",
         "in a configuration|was to be opened|stats_s is",
     ),
+    # contact.md: 'with external triggers (command, pedal) it waits: the first frame at rest from the trigger on is
+    # scored'; operations.md: `trigger` asks for the verdict.
+    Bug(
+        "a pedal is heard once",
+        "edge/features/outputs/trigger_reader.py",
+        "        self._has_fired = self._is_down\n        return self._is_down\n",
+        "        is_fired, self._has_fired = self._is_down and not self._has_fired, True\n        return is_fired\n",
+        "has the verdict rejected, without any fault",
+    ),
     Bug(
         "a page keeps its verdict over a halt",
         "edge/page/shown.py",

@@ -452,7 +452,8 @@ class Simulation:
             more=", ".join(f'"{name}"' for name in self.chosen.features if name != OVERVIEW),
             sensor=f'options = {{ serial = "{SERIAL}" }}' if self.chosen.has_serial else "",
         )
-        text += TABLES + "".join(SINK.format(name=name, at_once_s=AT_ONCE_S) for name in self.order)
+        text += TABLES.replace('"acknowledge"', '"trigger"') if self.chosen.has_pedal else TABLES
+        text += "".join(SINK.format(name=name, at_once_s=AT_ONCE_S) for name in self.order)
         text += PIECE.format(order=self.chosen.piece) if self.world.has_pieces else ""
         text += OVERVIEW_TABLE if OVERVIEW in self.chosen.features else ""
         text += MASTER_TABLE if REFERENCE in self.chosen.features else ""

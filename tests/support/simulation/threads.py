@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from simulation.schedule import Simulation
 
 
+FORGOTTEN = 3
+"""Of seven presses nobody asks for this one."""
+SOON_S, HOLDS_S = 0.5, 0.6
+"""A pedal is heard after less than that."""
 LATE_S = 0.1
 """A press that is asked for later may be lifted before it rests."""
 
@@ -70,6 +74,9 @@ class Threads:
         connections.on_news = self._wake_waiting
         self.own = threads
         plcs = [Actor("plc", plc.act) for plc in run.world.plcs]
+        self._slipped: MadePress | None = None
+        if run.chosen.has_pedal:
+            plcs.append(Actor("person with a pedal", self._ask_by_pedal))
         if run.world.has_pieces and not run.world.has_plc:
             plcs.append(Actor("person with a plan", lambda: run.world.worker.act(run)))
         self.all = [self.camera, *threads, Actor("brokers", self._work), *plcs]
@@ -130,14 +137,15 @@ class Threads:
             actor.due_ns = min(actor.due_ns, self._run.world.clock.now_ns + round(self._lag(0.001) * S))
 
     def _obey(self) -> None:
-        """The person at the station asks for the verdict of a press, and forgets each seventh; reads the alarm, and
-        leaves the gel free for a while."""
+        """The person at the station asks for the verdict of a press, unless it has a pedal for it, and forgets each
+        seventh; reads the alarm, and leaves the gel free for a while."""
         hand, now_ns, noticed_s = (
             self._run.world.hand,
             self._run.world.clock.now_ns,
             self._run.world.noticed_s,
         )
-        if (press := hand.press) and not press.is_asked and press.number % 7 != 3:
+        is_asking = not self._run.chosen.has_pedal
+        if is_asking and (press := hand.press) and not press.is_asked and press.number % 7 != FORGOTTEN:
             waited_s = (now_ns - press.begin_ns) / S - noticed_s
             with suppress(GelgateError, ValueError):  # it sees no contact yet
                 if waited_s > 0:
@@ -148,6 +156,30 @@ class Threads:
         if "contact" in said and hand.is_pressing_soon:
             self._run.reach("the hand lifted because the station asked for it")
             hand.wait(3)
+
+    def _ask_by_pedal(self) -> float:
+        """The person treads on the pedal when the part lies there, and holds it on. Of each seventh press it treads too
+        soon, while the gel is free: that asks for nothing (docs/contact.md, Triggers)."""
+        hand, pedal, press = self._run.world.hand, self._run.world.pedal, self._run.world.hand.press
+        if press is None:
+            is_forgotten = len(hand.presses) % 7 == FORGOTTEN and hand.presses[-1] is not self._slipped
+            if is_forgotten and hand.free_s > SOON_S:
+                self._slipped = hand.presses[-1]
+                self._run.reach("a person trod on the pedal, and nothing pressed")
+                pedal.step_on()
+            return 0.05
+        if not pedal.is_sure:
+            press.why.add("the pedal was disturbed")
+        is_missed = press.is_asked or press.number % 7 == FORGOTTEN
+        if not is_missed and hand.is_down:
+            press.is_asked = True
+            self._run.reach("a person asked for a verdict with the pedal")
+            pedal.step_on()
+            if press.way == "brief":
+                press.why.add("it was asked for late")
+            else:
+                hand.hold(HOLDS_S)
+        return 0.05
 
     def _loop(self) -> float:
         loop = self._run.station.loop
