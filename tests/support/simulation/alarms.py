@@ -11,7 +11,7 @@ from simulation.disk import ROOM_BYTES
 from simulation.hand import SLIPS_AFTER, MadePress
 from simulation.lives import Seen, Station
 from simulation.plc import Server
-from simulation.sensor import SERIAL, S
+from simulation.sensor import BEING_LEARNT, SERIAL, S
 from simulation.surroundings import WALL_NS, World
 
 OFFERED_S = 60.0
@@ -56,6 +56,18 @@ def _is_pedal_away(world: World, station: Station) -> bool:
 
 def _may_be_pressed(world: World, station: Station) -> bool:
     return world.hand.press is not None or bool(world.sensor.troubles)
+
+
+def _is_learnt_touched(world: World, station: Station) -> bool:
+    """A part lay on the gel while that was learnt, and was lifted, and the station has not said so yet."""
+    press = world.hand.lain
+    known = {BEING_LEARNT, "the station said 'starting'", "the station said 'halted'"}
+    if press is None or press.why - known or press.begin_ns < world.new_gel_ns:
+        world.hand.lain = None
+        return False
+    if "free_gel" in station.loop.parts.status.view().alarms:
+        world.hand.lain = None
+    return press.end_ns > 0
 
 
 def _is_plc_silent(world: World, station: Station) -> bool:
@@ -312,7 +324,8 @@ SEEN = (
     Rule("trigger_device", _is_pedal_away, 2.5, _is_pedal_away, 8.0),
     # A second without a beat; after a cable that was pulled its own old connection may write for three seconds.
     Rule("plc", _is_plc_silent, 2.5, _may_plc_be_named, 6.0),
-    # It ends when the gel is seen free.
+    # The lift shows it, if nothing else does; it ends when the gel is seen free.
+    Rule("free_gel", _is_learnt_touched, 0.5, _may_be_pressed, 8.0),
     Rule("contact", _never, 0.0, _may_be_pressed, 8.0),
     # It ends when the gel is seen free.
     Rule("gel_overload", _never, 0.0, _may_be_pressed, 8.0),

@@ -10,6 +10,7 @@ from edge.features.snapshots import Snapshots
 from simulation.chosen import REFERENCE, SNAPSHOT
 from simulation.lives import Asked
 from simulation.options import SECRET
+from simulation.sensor import BEING_LEARNT
 
 MASTER = "the master piece"
 WITHIN_S = 20
@@ -98,7 +99,7 @@ def relearn(run: "Simulation", rng: random.Random) -> float:
         run.note(f"the gel is not learnt again: {error}")
         return -0.5
     run.world.new_gel_ns = run.world.clock.now_ns
-    run.world.sensor.disturb("the gel was being learnt")
+    run.world.sensor.disturb(BEING_LEARNT)
     hand.wait(3)
     run.reach(f"the free gel was learnt again{' while something pressed' if is_pressed else ''}")
     run.note("the gel is learnt again")

@@ -105,7 +105,9 @@ FAMILIES = (
     Family({"hang": 20, "freeze": 6, "relay": 4}, {"has_robot": True, "until_next": True, "presses": 40}),
     Family({"lock database": 60}, {"presses": 40}),
     Family({"exchange bundle": 40, "edit configuration": 20, "select part": 2}, {"presses": 40}),
-    Family({REFERENCE: 12, "replace gel": 6, "relearn": 3}, {"features": (REFERENCE,)}),
+    Family(
+        {REFERENCE: 12, "replace gel": 6, "relearn": 3}, {"features": (REFERENCE,), "has_free_view": False}
+    ),
     Family({OVERVIEW: 12}, {"features": (OVERVIEW,), "presses": 40}),
     Family(
         {"hang up": 15, "stop": 8},
@@ -162,6 +164,8 @@ class Chosen:
     has_file: bool = False
     """A `jsonl` sink, too."""
     has_shadow: bool = False
+    has_free_view: bool = True
+    """Bundles know the gel of their fit, so that a part which lies on a new one is seen at once."""
     is_lenient: bool = False
     """People call dented parts good."""
     has_robot: bool = False

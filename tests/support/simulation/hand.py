@@ -97,6 +97,8 @@ class Hand:
         self.may_lift: Callable[[], bool] | None = None
         """What a robot looks at; None for a hand."""
         self.lifted_at_word = 0
+        self.lain: MadePress | None = None
+        """The part that was put on a gel before that was learnt, until somebody says so."""
         self.dents = 0
         """So many of the next parts are dented."""
         self.is_slow = False
@@ -175,6 +177,15 @@ class Hand:
     def hold(self, seconds: float) -> None:
         """Let the part lie for this long, as deep as it is now."""
         self._phases.extendleft(repeat(self._phase, round(seconds / self._period_s)))
+
+    def lie(self, now_ns: int, seconds: float) -> None:
+        """Put a part down at once, for so long."""
+        self.lain = MadePress(len(self.presses), now_ns, "sound", "long", part=self.part)
+        self.presses.append(self.lain)
+        down = repeat((1.0, "sound"), round(seconds / self._period_s))
+        self._phases = deque(
+            ((0.5, "sound"), *down, (0.3, "sound"), *repeat(FREE, round(3 / self._period_s)))
+        )
 
     def wait(self, seconds: float) -> None:
         """Leave the gel free for this long, from the end of the press on."""

@@ -10,14 +10,18 @@ from edge.core.errors import GelgateError, StoreError
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES
 from simulation.bundles import PARTS
 from simulation.options import SECRET
+from simulation.sensor import BEING_LEARNT
+
+LIES_S = 3.0
+"""A part that lies on a new gel; by then that is learnt."""
 
 if TYPE_CHECKING:
     from simulation.schedule import Simulation
 
 
 def replace_gel(run: "Simulation", rng: random.Random) -> float:
-    """A person changes the gel, says so, and goes on when the new one was seen free for a while. The station hears it
-    after what it saw before."""
+    """A person changes the gel, says so, and goes on when the new one was seen free for a while, or too soon. The
+    station hears it after what it saw before."""
     hand = run.world.hand
     if hand.press is not None or run.world.sensor.is_behind:
         return -0.1
@@ -28,6 +32,9 @@ def replace_gel(run: "Simulation", rng: random.Random) -> float:
         answer = run.station.ask("replace_gel", use_by=use_by)
         run.world.gels.select(run.world.clock.now_ns, answer["gel_id"])
         run.world.new_gel_ns = run.world.clock.now_ns
+        if not run.chosen.has_free_view and rng.random() < 0.5:
+            hand.lie(run.world.clock.now_ns, LIES_S)
+            run.world.sensor.disturb(BEING_LEARNT)
         run.reach(
             "the gel was replaced while a broker was away" if run.is_broker_away else "the gel was replaced"
         )

@@ -27,8 +27,18 @@ def _silence(alarm: str) -> Bug:
     )
 
 
-SILENT = ("gel", "gel_expired", "gel_proof", "gel_mark", "drift", "false_alarms", "piece", "shadow")
-"""Alarms of what is recorded that nothing else plants."""
+SILENT = (
+    "free_gel",
+    "gel",
+    "gel_expired",
+    "gel_proof",
+    "gel_mark",
+    "drift",
+    "false_alarms",
+    "piece",
+    "shadow",
+)
+"""Alarms that nothing else plants."""
 
 BUGS = (
     *map(_silence, (*SILENT, "disk", "archive", "refused", "receiver", "overload", "overview", "golden")),

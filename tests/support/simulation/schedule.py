@@ -126,7 +126,7 @@ class Simulation:
         for file, content in ((self._secret, SECRET), (self._token, TOKEN)):
             file.write_text(content)
             file.chmod(0o600)
-        self.world.shelf = Shelf(folder / "bundles", bundles)
+        self.world.shelf = Shelf(folder / "bundles", bundles, has_free_view=self.chosen.has_free_view)
         self._bundles, self.order = self.world.shelf.paths, list(self.world.brokers)
         self.station = Station(self.world, self._disk, self._begin_config, self._read_config)
         self.browser = Browser(self, random.Random(f"{seed} browser"))

@@ -22,6 +22,9 @@ BEHIND_S = 0.3
 """A reader that gets its turns has taken a frame by then."""
 READ_LATE_S = 0.15
 """So long a frame waits only where a disk holds up who reads it."""
+BEING_LEARNT = "the gel was being learnt"
+"""A press that meets this may be lost."""
+
 SERIAL, OTHER_SERIAL = "SIM00001", "SIM00002"
 
 

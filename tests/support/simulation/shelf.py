@@ -26,14 +26,17 @@ PROMISE = {"alpha_floor": 0.05, "nominal_scores": [0.01] * 19, "pieces": 19}
 
 
 class Shelf:
-    """The bundles of a run. paths: those that are configured, one of each part; beside them `shadow`."""
+    """The bundles of a run. paths: those that are configured, one of each part, and `shadow`. has_free_view: each
+    knows the gel of its fit."""
 
-    def __init__(self, folder: Path, bundles: Sequence[Path]) -> None:
+    def __init__(self, folder: Path, bundles: Sequence[Path], *, has_free_view: bool) -> None:
         self._kept = folder / "kept"
         self._kept.mkdir(parents=True)
         self._originals = [shutil.copytree(path, folder / "made" / path.name) for path in bundles]
         for path in self._originals:
             _set(path, "threshold", **PROMISE)
+            if not has_free_view:
+                _set(path, free_view=None)
         self.paths = [folder / part for part in PARTS]
         for original, path in zip(self._originals, self.paths, strict=True):
             shutil.copytree(original, path)
