@@ -1,5 +1,6 @@
 """Alarms that must be raised, and cleared, within a stated time (docs/operations.md)."""
 
+from bisect import bisect
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -20,7 +21,8 @@ OFFERED_S = 60.0
 
 @dataclass(frozen=True)
 class Rule:
-    """alarm: raised when `is_so` was so for `raised_s`; it may be raised while `may_be`; cleared `cleared_s` after."""
+    """alarm: raised when `is_so` was so for `raised_s`; it may be raised while that, or `may_be`; cleared `cleared_s`
+    after."""
 
     alarm: str
     is_so: Callable[[World, Station], bool]
@@ -185,8 +187,7 @@ def _is_past_date(world: World, station: Station) -> bool:
 
 def _may_be_past_date(world: World, station: Station) -> bool:
     """The alarm stays for two hours where a clock is set back."""
-    is_set = world.clock.wall_ns != WALL_NS and station.mounted_gel()[3] is not None
-    return is_set or _is_past_date(world, station)
+    return world.clock.wall_ns != WALL_NS and station.mounted_gel()[3] is not None
 
 
 def _is_other_gel(world: World, station: Station) -> bool:
@@ -195,7 +196,7 @@ def _is_other_gel(world: World, station: Station) -> bool:
 
 
 def _may_be_unproven(world: World, station: Station) -> bool:
-    return station.has_lost_pieces or _is_other_gel(world, station)
+    return station.has_lost_pieces
 
 
 def _find_judged(world: World, station: Station) -> list[tuple[Seen, MadePress]]:
@@ -203,8 +204,8 @@ def _find_judged(world: World, station: Station) -> list[tuple[Seen, MadePress]]
     judged = []
     for seen in station.seen:
         if seen.noted_ns > station.began_ns and seen.word in ("pass", "fail") and seen.frame_ns:
-            made = [press for press in world.hand.presses if press.begin_ns <= seen.frame_ns][-1:]
-            judged += [(seen, press) for press in made if not press.master_ns]
+            number = bisect(world.hand.presses, seen.frame_ns, key=lambda press: press.begin_ns)
+            judged += [(seen, press) for press in world.hand.presses[:number][-1:] if not press.master_ns]
     return judged
 
 
@@ -258,40 +259,40 @@ def _is_master_due(world: World, station: Station) -> bool:
     return (station.mounted_gel()[0],) not in station.disk.read("SELECT gel_id FROM reference_presses")
 
 
+NEWEST_WORD = (
+    "SELECT arguments ->> '$.verdict' FROM acts WHERE verb = 'confirm_press' AND outcome = 'done' "
+    "AND arguments ->> '$.press_id' = press_id ORDER BY act_id DESC LIMIT 1"
+)
+"""What was said of a press last."""
+
+
 def _has_escaped(world: World, station: Station) -> bool:
     """By the newest word on it a press that passed is damaged. The words of a day count."""
-    query = (
-        "SELECT arguments ->> '$.press_id', arguments ->> '$.verdict' FROM acts "
-        "WHERE verb = 'confirm_press' AND outcome = 'done' ORDER BY act_id"
-    )
-    said = dict(station.disk.read(query)) if station.signed else {}
-    damaged = {press_id for press_id, word in said.items() if word == "damaged"}
-    is_set = world.clock.wall_ns != WALL_NS
-    return (
-        bool(damaged) and not is_set and any(row[0] in damaged and row[1] == "pass" for row in station.rows())
-    )
+    query = f"SELECT 1 FROM presses WHERE verdict = 'pass' AND ({NEWEST_WORD}) = 'damaged' LIMIT 1"
+    is_asked = station.signed and not _is_clock_set(world, station)
+    return bool(is_asked and station.disk.read(query))
 
 
-def _may_have_escaped(world: World, station: Station) -> bool:
-    return world.clock.wall_ns != WALL_NS or _has_escaped(world, station)
+def _is_clock_set(world: World, station: Station) -> bool:
+    return world.clock.wall_ns != WALL_NS
 
 
 def _is_promise_broken(world: World, station: Station) -> bool:
     """A third of the presses of this bundle and gel fail, of which people call four or more good, and few damaged."""
     if not world.is_lenient or world.clock.wall_ns != WALL_NS:
         return False
-    words = (
-        "SELECT arguments ->> '$.verdict' FROM acts WHERE verb = 'confirm_press' AND outcome = 'done' "
-        "AND arguments ->> '$.press_id' = press_id"
-    )
     query = (
-        f"SELECT ({words} ORDER BY act_id DESC LIMIT 1), verdict = 'fail' FROM presses "
+        f"SELECT ({NEWEST_WORD}), verdict = 'fail' FROM presses "
         "WHERE verdict IN ('pass', 'fail') AND gel_id = ? AND part = ? AND evidence IS NOT NULL"
     )
     judged = station.disk.read(query, station.mounted_gel()[0], _find_sole_part(world, station))
     failed = [word for word, has_failed in judged if has_failed]
     is_good = failed.count("good") >= max(4, 4 * sum(word not in ("good", None) for word in failed))
-    return is_good and 3 * len(failed) >= len(judged) and not _may_be_unproven(world, station)
+    return (
+        is_good
+        and 3 * len(failed) >= len(judged)
+        and not (station.has_lost_pieces or _is_other_gel(world, station))
+    )
 
 
 def _may_promise_be_broken(world: World, station: Station) -> bool:
@@ -305,7 +306,7 @@ def _is_piece_late(world: World, station: Station) -> bool:
 
 
 def _may_piece_be_late(world: World, station: Station) -> bool:
-    return bool(world.shelf.wrong) or _is_piece_late(world, station)
+    return bool(world.shelf.wrong)
 
 
 def _is_shadow_broken(world: World, station: Station) -> bool:
@@ -346,7 +347,7 @@ SEEN = (
 )
 
 RECORDED = (
-    Rule("gel", _is_worn, 3.0, _is_worn, 3.0),
+    Rule("gel", _is_worn, 3.0, _never, 3.0),
     Rule("gel_expired", _is_past_date, 3.0, _may_be_past_date, 3.0),
     Rule("gel_proof", _is_other_gel, 3.0, _may_be_unproven, 3.0),
     # It ends with the next press that is sound there.
@@ -356,13 +357,13 @@ RECORDED = (
     # It may also be out of limits, or be waited for.
     Rule("reference", _is_master_due, 3.0, _always, 0.0),
     # What a person said is looked at each second.
-    Rule("escape", _has_escaped, 3.0, _may_have_escaped, 3.0),
+    Rule("escape", _has_escaped, 3.0, _is_clock_set, 3.0),
     Rule("false_alarms", _is_promise_broken, 3.0, _may_promise_be_broken, 3.0),
     Rule("piece", _is_piece_late, 3.0, _may_piece_be_late, 3.0),
     # What was asked for is opened by then, and a press has ended.
     Rule("shadow", _is_shadow_broken, 6.0, _may_shadow_be_broken, 6.0),
 )
-"""They are looked at each second, while all is recorded."""
+"""They are looked at every other second, while all is recorded."""
 
 
 def audit_alarms(world: World, station: Station, rules: Sequence[Rule], *, is_held_up: bool) -> Iterator[str]:
@@ -381,14 +382,14 @@ def audit_alarms(world: World, station: Station, rules: Sequence[Rule], *, is_he
     station.raised_ns |= dict.fromkeys(raised, now_ns)
     for rule in rules:
         is_so = not is_held_up and rule.is_so(world, station)
-        may = is_held_up or rule.may_be(world, station)
+        may = is_held_up or is_so or rule.may_be(world, station)
         if is_so and rule.alarm in raised:
             station.reached.add(f"the alarm {rule.alarm} was raised for its reason")
         again = is_held_up or station.mounted_gel()[0] if rules is RECORDED else of.get(rule.alarm)
         so_since_ns = station.so_since(f"{rule.alarm} is so", is_so, again)
         mended_ns = mended.get(rule.alarm)
         # What is recorded may have come and gone between two looks.
-        is_well = not (is_so or may) and (rules is SEEN or rule.alarm in raised)
+        is_well = not may and (rules is SEEN or rule.alarm in raised)
         well_since_ns = station.so_since(f"{rule.alarm} is well", is_well, mended_ns)
         is_late = so_since_ns is not None and now_ns - so_since_ns > rule.raised_s * S
         if is_late and rule.alarm not in raised:

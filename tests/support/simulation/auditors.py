@@ -109,8 +109,9 @@ def audit_now(world: World, station: Station) -> Iterator[str]:
     if now_ns // S != before_ns // S:
         yield from audit_full_outbox(world, station)
         yield from audit_kept(world, station)
-        yield from audit_alarms(world, station, RECORDED, is_held_up=station.is_kept_from_it)
         yield from audit_snapshots(world, station)
+    if now_ns // (2 * S) != before_ns // (2 * S):
+        yield from audit_alarms(world, station, RECORDED, is_held_up=station.is_kept_from_it)
     if now_ns // (5 * S) != before_ns // (5 * S):
         yield from audit_outbox(station)
 
