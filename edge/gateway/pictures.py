@@ -59,6 +59,7 @@ class Pictures:
         self._store, self._wake, self._draw_again, self._keeps_last = store, wake, draw_again, keeps_last
         self._waiting: deque[PressDrawing] = deque()
         self._drawn: deque[PressDrawing] = deque()
+        self._named = ""  # the press whose picture was last said to wait
         self._thread = Background[None]("pictures", CLOSE_S)
         self._turn = threading.Lock()  # of the thread, and of `close` where the thread is still busy
 
@@ -82,9 +83,14 @@ class Pictures:
         self._waiting.append(drawing)
         self._thread.ask(self.step)
 
+    def retry(self) -> None:
+        """Try again what the store has refused: after the last press of a shift no other one would."""
+        if self._drawn:
+            self._thread.ask(self.step)
+
     def step(self) -> None:
-        """Draw what waits, and queue each at once. What the store refuses goes on waiting, drawn, until the next one or
-        the end."""
+        """Draw what waits, and queue each at once. What the store refuses goes on waiting, drawn, until the next one,
+        a retry or the end."""
         with self._turn:
             is_refused = False
             while self._waiting or (self._drawn and not is_refused):
@@ -107,7 +113,9 @@ class Pictures:
                 files.deviations.first.model_dump(exclude={"remark"}) if files.deviations else {},
             )
         except StoreError as error:
-            log.warning("the picture of press %s waits: %s", press_id, error)
+            if press_id != self._named:
+                log.warning("the picture of press %s waits: %s", press_id, error)
+            self._named = press_id
             return False
         except Exception as error:  # it stays owed, and keeps no other one waiting
             log.exception("the picture of press %s cannot be queued: %s", press_id, error)

@@ -206,8 +206,9 @@ class StationLoop:
             self.publish_stats()
 
     def publish_stats(self) -> None:
-        """Publish the counts so far, and check whether another process replaced the gel."""
+        """Publish the counts so far, check whether another process replaced the gel, and retry refused pictures."""
         self._last_stats_ns = self.parts.clock.monotonic_ns()
+        self.parts.pictures.retry()
         self.report.publish(self.session, is_halted=self.is_halted)
 
     def _follow_selection(self) -> None:

@@ -259,6 +259,30 @@ def test_refused_pictures_wait_drawn(store: Store, monkeypatch: pytest.MonkeyPat
     assert (store.owed_pictures(), len(drawn)) == ([], MOST_PRESSES_WAITING)
 
 
+def test_a_refused_picture_needs_no_other_press_to_come(
+    station: SteppedStation, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """After the last press of a shift the regular report asks for it, which names it once while the disk is full."""
+    store, pictures = station.parts.store, station.parts.pictures
+
+    def report() -> None:
+        station.clock.sleep(11)
+        station.loop.step(None)
+        pictures._thread.step()
+
+    with monkeypatch.context() as full:
+        full.setattr(store, "queue_picture", refuse)
+        station.play_presses(1)
+        report()
+        report()
+    (owed,) = store.owed_pictures()
+    assert caplog.text.count(f"the picture of press {owed} waits") == 1
+
+    report()
+    assert store.owed_pictures() == []
+    assert f"heatmap/{owed}" in dict(outbox(store.path))
+
+
 def test_pictures_that_fall_behind_are_bounded(
     store: Store, path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
