@@ -34,7 +34,7 @@ class GelProofWatch(PressStage):
     def __init__(self, parts: StageParts) -> None:
         self._unproven, self._clock = parts.config.gel.unproven, parts.clock
         self._store, self._alarms = parts.store, parts.alarms
-        self._made = MadeOn("")  # of no bundle; `use` comes before the first turn
+        self._made: MadeOn  # `use` comes before the first turn
         self._mounted: Mounted | None = None
         self._sentence: Sentence | None = None
         self._next_look_ns = 0

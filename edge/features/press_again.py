@@ -55,7 +55,7 @@ class PressAgain(PressStage):
 
     def __init__(self, costs: Costs, within_s: float, clock: Clock, alarms: Alarms) -> None:
         self._costs, self._within_s, self._clock, self._alarms = costs, within_s, clock, alarms
-        self._plan = Plan("no bundle")
+        self._plan: Plan  # `use` comes before the first press
         self._bundle: Bundle | None = None
         self._first: _First | None = None
 

@@ -208,9 +208,7 @@ def integrate(slope_x: F64, slope_y: F64, mm_per_px: tuple[float, float]) -> F64
     bend[1:] -= down[:-1]
     rows, columns = (2 - 2 * np.cos(np.pi * np.arange(n) / n) for n in (height, width))
     eigenvalues = rows[:, None] + columns
-    eigenvalues[0, 0] = 1.0
-    waves = cv2.dct(bend) / -eigenvalues
-    waves[0, 0] = 0.0
+    waves = np.divide(cv2.dct(bend), -eigenvalues, out=np.zeros_like(bend), where=eigenvalues > 0)
     return np.asarray(cv2.dct(waves, flags=cv2.DCT_INVERSE))
 
 
