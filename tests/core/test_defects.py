@@ -55,5 +55,6 @@ def test_a_pixel_has_its_size_along_both_axes(name: str, x_mm: float, y_mm: floa
 
 def test_a_defect_is_placed_in_millimetres_along_both_axes() -> None:
     """Worked by hand, for pixels that are twice as tall as wide."""
-    place = DefectPlace.of(Defect((2, 1, 3, 2), (3.5, 2.0), 6, 5.0), 0.1, 0.2)
+    place = DefectPlace.of(Defect((2, 1, 3, 2), (3.5, 2.0), 6, 5.0, np.ones((2, 3), bool)), 0.1, 0.2)
+    assert place.size_px == 3.2  # from corner to corner, sqrt(2**2 + 1) and a pixel
     assert (place.box_mm, place.centroid_mm, place.area_mm2) == ((0.2, 0.2, 0.3, 0.4), (0.35, 0.4), 0.12)

@@ -111,3 +111,13 @@ def test_a_refused_login_shows_that_the_broker_speaks_5(scripted: ScriptedBroker
         pass
     scripted.connects = ["refuse"]
     assert not Connection.speaks_5(at)
+
+
+@pytest.mark.parametrize("level", ["5", "3.1.1"])
+def test_messages_are_subscribed_to_at_qos_1(scripted: ScriptedBroker, level: str) -> None:
+    """As docs/mqtt.md says of requests. The last byte of a SUBSCRIBE holds it in its two lowest bits."""
+    connection = Connection.open(Broker("127.0.0.1", scripted.port, "level", level=level))
+    connection.subscribe("cmd")
+    connection.close()
+
+    assert [body[-1] & 0b11 for body in scripted.subscriptions] == [1]

@@ -26,6 +26,7 @@ class ScriptedBroker:
     levels: list[str] = field(default_factory=list)
     published: list[tuple[str, bytes]] = field(default_factory=list)
     properties: list[bytes] = field(default_factory=list)
+    subscriptions: list[bytes] = field(default_factory=list)
 
     def __enter__(self) -> Self:
         self._server = socket.create_server(("127.0.0.1", 0))
@@ -70,6 +71,7 @@ class ScriptedBroker:
                 elif kind >> 4 == PUBLISH:
                     self._take(one, level, kind, body)
                 elif kind >> 4 == SUBSCRIBE:
+                    self.subscriptions.append(body)
                     denied = self.topics.get("cmd") == "deny"
                     code = NOT_AUTHORIZED if denied and level == "5" else 0x80 if denied else 1
                     middle = b"\x00" if level == "5" else b""

@@ -148,11 +148,15 @@ def test_uint8_never_gets_in() -> None:
 
 
 def test_specks_and_noise_are_no_area() -> None:
-    """Dust of 3x3 pixels and lone pixels vanish in the opening; stripes 4 pixels apart close to one area."""
+    """Dust of 4x4 pixels and lone pixels vanish in the opening, and 5x5 stay; stripes 4 pixels apart close to one
+    area, and 5 pixels apart none."""
     difference = np.zeros((120, 160, 3), np.float32)
     difference[::20, ::20] = 80
-    difference[50:53, 70:73] = -80
+    difference[50:54, 70:74] = -80
     assert touched(touched_mask(difference)) == Touch(0.0)
+    difference[:] = 0
+    difference[50:55, 70:75] = difference[50:55, 80:85] = -80
+    assert touched(touched_mask(difference)).area == 50 / 19200
     stripes = np.zeros((120, 160, 3), np.float32)
     stripes[40:80:6, 40:100] = 80
     stripes[41:80:6, 40:100] = 80

@@ -136,6 +136,17 @@ def test_what_is_plain_to_see_in_one_frame_is_a_clear_mark(now: np.ndarray, is_c
     assert not clear[:50].any()
 
 
+@pytest.mark.parametrize(("slope", "is_clear"), [(8, True), (10, False)])
+def test_a_grain_is_clear_where_a_gel_that_moves_would_change_less(slope: int, is_clear: bool) -> None:
+    """A quarter of a pixel of such slopes, levels a pixel, is a doubt of 2 or 2.5. Three doubts and the 2.2 levels of a
+    clear mark are 8.2 or 9.7; what this grain has lies between them."""
+    ramp = np.asarray(slope * X[..., None], np.float32)
+    clear = find_clear_marks(gel(1) + ramp, spot(20, 1.5) + ramp)
+
+    assert clear is not None
+    assert clear[55:65, 75:85].any() == is_clear
+
+
 def test_a_grain_that_lay_there_first_and_is_gone_is_no_clear_mark() -> None:
     """A gel is not clean when it is mounted; wiped, it shows less."""
     clear, known = find_clear_marks(spot(20, 1.5), gel(3)), marks(spot(20, 1.5), gel(3))

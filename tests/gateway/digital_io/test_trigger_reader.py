@@ -43,6 +43,14 @@ def test_a_press_is_reported_once_after_the_debounce_time() -> None:
     assert bench.faults == []
 
 
+def test_a_read_of_a_pedal_that_rests_ends_in_a_quarter_of_a_second() -> None:
+    """So long `close` waits, and so often it is looked whether the pedal is there."""
+    bench = Bench()
+    bench.reader.step()
+
+    assert bench.clock.monotonic_ns() == 250 * MS
+
+
 def test_a_pedal_that_vanished_in_silence_is_noticed_and_opened_again() -> None:
     """It reads as unchanged, so presence is polled; presses count again after the return."""
     bench = Bench((5000, True))
