@@ -1,6 +1,7 @@
 """The black box: what a verdict was made from is kept, and the verdict is made again bit for bit."""
 
 import hashlib
+import io
 import json
 import os
 import shutil
@@ -396,6 +397,17 @@ def test_what_was_removed_from_a_running_archive_is_written_again(
     assert archive.fault is None
     assert kept.press(made.ids[1], evidence) == later
     assert [kept.read(digest, "object") for digest in objects] == [*objects.values()]
+
+
+def test_no_object_is_made_of_what_an_archive_holds(tmp_path: Path, made: Played) -> None:
+    """A free gel that is no array of numbers would run the code that its writer wants."""
+    one, objects = small_press(made)
+    np.save(content := io.BytesIO(), np.array([None], object), allow_pickle=True)
+    digest = hashlib.sha256(content.getvalue()).hexdigest()
+    one = one.model_copy(update={"reference": digest})
+    PressArchive(tmp_path, 10, 1 << 20).keep(one, {**objects, digest: content.getvalue()})
+    with pytest.raises(ValueError, match="allow_pickle=False"):
+        ArchiveFolder(tmp_path).read_reference(one)
 
 
 @pytest.mark.parametrize("left", [b"", b"mach\0\0\0", b"machine\0", None])

@@ -69,21 +69,25 @@ def test_a_new_scar_is_known_where_the_gel_is_free_for_three_tenths_of_a_second(
     assert station.results[4].cause is not Cause.GEL
 
 
-@pytest.mark.parametrize(("fps", "rest"), [(18.75, 0.25), (10.0, 0.12)])
+@pytest.mark.parametrize(
+    ("fps", "rest", "of_damage"), [(18.75, 0.25, 0.25), (10.0, 0.12, 0.12), (18.75, 0.2, 0.35)]
+)
 def test_what_damaged_parts_leave_on_the_gel_in_such_a_lift_is_no_mark(
-    tmp_path: Path, bundle: Path, fps: float, rest: float
+    tmp_path: Path, bundle: Path, fps: float, rest: float, of_damage: float
 ) -> None:
     """Five parts of a broken tool, damaged at one place little above the limit; a share of each imprint is there still
-    as the next one comes."""
+    as the next one comes, and of a deep damage a larger one."""
     motion, time_ns, rng = BRIEF[fps], 0, np.random.default_rng(3)
     left, top, side = MARK
     added = gel(np.random.default_rng(0), 1.0).astype(np.float32) - gel(np.random.default_rng(0))
     added[top : top + side, left : left + side] -= 20
+    share = np.full(added.shape, rest, np.float32)
+    share[top : top + side, left : left + side] = of_damage
     with RecordingWriter(tmp_path / "presses", HEADER) as writer:
         for press in range(6):
             depths = [0.5, *[1.0] * motion.hold, 0.3] if press else []
             for depth in (*depths, *[0.0] * (motion.idle if press else motion.free)):
-                frame = gel(rng).astype(np.float32) + max(depth, rest if press else 0) * added
+                frame = gel(rng).astype(np.float32) + np.maximum(depth, share if press else 0) * added
                 writer.add(jpeg(np.clip(frame, 0, 255).astype(np.uint8)), time_ns, {})
                 time_ns += round(1e9 / fps)
     with SteppedStation(station_config(tmp_path, tmp_path / "presses", bundle)) as station:

@@ -136,9 +136,12 @@ def test_a_word_is_kept_beside_the_verdict_and_the_press_is_not_asked_for_again(
     before = played.said("questions")
 
     response = say(played)(press_id=dented.press_id, verdict="damaged", kind="dent")
+    settle(played)
+    after = played.said("questions")
     again = say(played, "lee")(press_id=dented.press_id, verdict="damaged")
     settle(played)
 
+    assert played.said("questions") == after  # also when it was made: what is not new is not said again
     assert dented.press_id in [one["press_id"] for one in before["presses"]]
     assert response["data"] == {
         "press_id": dented.press_id,
@@ -148,7 +151,6 @@ def test_a_word_is_kept_beside_the_verdict_and_the_press_is_not_asked_for_again(
         "remarks": [],
     }
     assert again["data"]["earlier"] == ["kim: damaged"]  # type: ignore[index]
-    after = played.said("questions")
     assert dented.press_id not in [one["press_id"] for one in after["presses"]]
     assert (before["answered_today"], after["answered_today"]) == (0, 1)
     path = played.parts.store.path

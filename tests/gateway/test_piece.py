@@ -314,6 +314,17 @@ def test_what_a_person_selected_since_the_press_stays_selected_over_a_restart(co
         assert (by_plan, station.parts.selection.part) == (MIDDLE, RIGHT)
 
 
+def test_what_a_person_selects_while_something_presses_stays_selected(configure: Make) -> None:
+    """The press was of the last place but one, and the plan would select the place that is left."""
+    with PieceStation(configure(plan("free", ("left", "middle")), presses=1)) as station:
+        pressing(station)
+        station.select("right")
+        station.play_presses(1)
+        station.play_until(lambda: not station.loop.session.has_contact)
+        station.turn()
+        assert (station.words, station.parts.selection.part) == ([("PZ0/left", "pass")], RIGHT)
+
+
 def test_a_write_that_fails_in_the_middle_of_an_end_ends_nothing(configure: Make) -> None:
     """Press, piece and message are one transaction: it is tried again, and then there is one of each."""
     with PieceStation(configure(plan())) as station:

@@ -206,12 +206,15 @@ def test_doubt_ends_where_the_reference_is_seen_again() -> None:
 @pytest.mark.parametrize("change", [0.0, 0.5], ids=["corrected", "seen again"])
 def test_after_a_doubt_the_gel_is_seen_and_nothing_is_wanted(change: float) -> None:
     """Also where the doubt was of what touched at the start: until the next press nobody would say that the gel is
-    free. And a verdict that was wanted of what was doubted is none of the next press."""
+    free. The new reference is doubted as the first one was. And a verdict that was wanted of what was doubted is none
+    of the next press."""
     touched, _ = run(Track(), (seen(i * 40, PRESSED) for i in range(1, 60)))
     lifted = [replace(inverse(2400 + 40 * k), change=change) for k in range(8)]
     track, events = run(touched, [*lifted, *at(2720, [FREE] * 10)])
     assert "ReferenceReady" in story(events)
     assert phase_of(track, seen(3080, FREE), RULES) == "free"
+    again = (inverse(3120 + 40 * k, imprint=-0.8) for k in range(8))
+    assert story(run(track, again)[1]).startswith("ReferenceDoubted")
     wanted = replace(unconfirmed(), state=State.CONTACT, is_wanted=True)
     track, events = run(wanted, [*lifted, *at(2720, [FREE] * 10)], EXTERNAL)
     assert "ReferenceReady" in story(events)
