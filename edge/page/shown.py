@@ -67,7 +67,8 @@ class Shown:
     place: site/line/station, empty where it is not known yet. away: why nothing new comes, as one sentence. draw:
     draws the picture of a press of before the start, or of one that a person is asked about, that is not here; empty
     where it cannot. None without an archive. earlier: results of before the start, oldest first; none of them is the
-    verdict on the part that lies there now, and neither is one of before an interruption: lights have forgotten it.
+    verdict on the part that lies there now, and neither is one of before an interruption, nor a pass of before a master
+    piece: lights have forgotten it.
     """
 
     def __init__(
@@ -120,7 +121,18 @@ class Shown:
                 ):
                     self._forget_verdict()
                 self._status[message.topic] = status
+                self._forget_before_master()
                 self._note()
+
+    def _forget_before_master(self) -> None:
+        """As lights: who presses a part in the place of a master piece must not take the pass before for its own."""
+        master, newest = self._status["reference"], next(reversed(self._presses.values()), None)
+        if master is None or newest is None or newest.get("is_earlier") or newest.get("verdict") != "pass":
+            return
+        # On one gel the count tells which was first, and knows no clock.
+        by = "gel_presses" if master["gel_id"] == newest["gel_id"] else "time_ns"
+        if master[by] > newest[by]:
+            self._forget_verdict()
 
     def _forget_verdict(self) -> None:
         self._presses = OrderedDict(
@@ -140,6 +152,7 @@ class Shown:
                 self._presses.move_to_end(other)
         if is_late and next(reversed(self._presses)) == press_id:
             self._forget_verdict()
+        self._forget_before_master()
         while len(self._presses) > MOST_PRESSES:
             self._presses.popitem(last=False)
 

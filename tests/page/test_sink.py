@@ -145,6 +145,7 @@ def test_presses_of_before_the_start_are_listed_and_drawn_when_somebody_looks() 
         ROOT, "press2", draw=lambda one: pictures.get(one, b""), earlier=lambda most: before[-most:]
     )
     with closing(PageSink(PageOptions(), station, ManualClock(), port=0)) as sink:
+        sink.send(reference())
         assert [ask(sink.port, f"/pictures/{one}")[0] for one in ids] == [404, 200, 404]
         for n in (3, 1):
             for message in press(n):
@@ -176,6 +177,26 @@ def test_no_verdict_of_before_an_interruption_is_that_of_now(sink: PageSink) -> 
     failed = press(3, verdict=Kind.FAIL, score=2.5, score_ratio=2.5)
     assert find_earlier(*failed, contact) == [False, True, True]
     assert find_earlier(as_replayed(press(4)[0])) == [True] * 4
+
+
+def test_a_pass_is_not_that_of_a_master_piece(sink: PageSink) -> None:
+    """It has no result, and whoever has pressed a part in its place must not take the pass before for that part's."""
+
+    def find_earlier(*messages: Message) -> list[bool]:
+        for message in messages:
+            sink.send(message)
+        return [one.get("is_earlier", False) for one in asked(sink.port, "/presses.json")]
+
+    assert find_earlier(state("ready"), *press(1)) == [False]
+    of_other_gel, here = reference(), {"sensor_serial": "S", "gel_id": "S-1"}
+    assert find_earlier(of_other_gel) == [False]  # by its time it is old
+    second = reference(**here, gel_presses=2)
+    assert find_earlier(second) == [True]
+    assert find_earlier(*press(3)) == [False, True]
+    assert find_earlier(second) == [False, True]  # as after an interruption
+    assert find_earlier(reference(**here, gel_presses=5), press(4)[0]) == [True] * 3  # it comes too late
+    failed = press(6, verdict=Kind.FAIL, score=2.5, score_ratio=2.5)
+    assert find_earlier(*failed, reference(**here, gel_presses=7)) == [False, True, True, True]
 
 
 @pytest.mark.parametrize(

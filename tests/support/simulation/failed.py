@@ -556,4 +556,12 @@ FAILED = (
         ),
         says="nothing is seen for # s, and a pass is shown",
     ),
+    # A page showed the pass of the part before a master piece, also to who had pressed a part in its place.
+    Failure(
+        seed=0,
+        presses=3,
+        chosen=Chosen(has_page=True, features=("reference_press",)),
+        schedule=(Fault(at_s=6.5, name="reference_press", seed=1),),
+        says="the page shows a pass of press #, and # came later",
+    ),
 )
