@@ -41,15 +41,16 @@ class SensingWatch(PressStage):
     The pass light goes out earlier, in `edge.features.outputs.stage`.
 
     A time in which nothing was seen, without frames or blind, is over with the next frame that shows the gel. It is
-    then an act of the gateway, for presses may have been made in it. A shorter interruption is one, the first of each
-    press, while the gel is pressed: another part may have taken the place of the first.
+    then an act of the gateway, for presses may have been made in it; one that a start falls into is counted from the
+    first frame on. A shorter interruption is one, the first of each press, while the gel is pressed: another part may
+    have taken the place of the first.
     """
 
     def __init__(self, alarms: Alarms, store: Store, clock: Clock) -> None:
         self._alarms, self._store, self._clock = alarms, store, clock
         self._contact = LongContact()
         self._blind: Sentence | None = None
-        self._seen_ns: int | None = None
+        self._seen_ns: int | None = None  # or of the first frame, until one has shown the gel
         self._unseen: deque[Act] = deque(maxlen=_MOST_WAITING)
         self._is_pressed = False  # and the press has not been interrupted
         self._is_learning = True  # the picture of the free gel
@@ -75,6 +76,8 @@ class SensingWatch(PressStage):
 
     def look(self, look: Look) -> None:
         sight, timestamp_ns = look.sight, look.timestamp_ns
+        if self._seen_ns is None:
+            self._seen_ns = timestamp_ns
         self._contact.leave_out(look.interruption_s, timestamp_ns)
         self._contact.see(look.phase)
         if is_merged := look.interruption_s > 0 and self._is_pressed:
@@ -83,7 +86,7 @@ class SensingWatch(PressStage):
             self._note(look.interruption_s, _MERGED)
         if sight.seen_ns == timestamp_ns:
             if not is_merged:
-                self._note_unseen(timestamp_ns)
+                self._note_unseen((timestamp_ns - self._seen_ns) / 1e9)
             self._seen_ns = timestamp_ns
         if self._learning_ns is None or sight.lost or look.interruption_s > BLIND_AFTER_S:
             self._learning_ns = timestamp_ns
@@ -105,8 +108,7 @@ class SensingWatch(PressStage):
             self._store.begin_act(self._unseen[0], within_s=0)
             self._unseen.popleft()
 
-    def _note_unseen(self, timestamp_ns: int) -> None:
-        seconds = 0.0 if self._seen_ns is None else (timestamp_ns - self._seen_ns) / 1e9
+    def _note_unseen(self, seconds: float) -> None:
         if seconds > BLIND_AFTER_S:
             self._note(seconds, self._blind or "no frames came")
 

@@ -1,8 +1,11 @@
 """An interruption while something presses is said: a lift and a new press in it count as one press."""
 
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
 
+import cv2
+import numpy as np
 import pytest
 from ball_frames import FPS, PROFILE, frames
 
@@ -14,6 +17,7 @@ from edge.store.press_store import Store
 
 FREE, PRESSED = [0.0] * 60, [1.0] * 25
 SHORT, LONG = [None] * 12, [None] * 60
+BLACK = cv2.imencode(".jpg", np.zeros((120, 160, 3), np.uint8))[1].tobytes()
 
 
 @pytest.mark.parametrize(
@@ -79,6 +83,21 @@ def test_each_time_without_sight_is_kept_while_the_database_refuses(tmp_path: Pa
         acts = [act for act in reversed(store.acts()) if act.verb == "not_seen"]
 
     assert [act.arguments["seconds"] for act in acts] == pytest.approx([2.4, 0.5, 2.4], abs=0.2)
+
+
+def test_a_time_without_sight_that_a_start_falls_into_is_kept(tmp_path: Path) -> None:
+    """From the first frame on: presses may have been made in it, and nobody has seen the gel before."""
+    detector = PressDetector(PROFILE)
+    with Store(tmp_path / "gelgate.db") as store:
+        watch = SensingWatch(Mock(), store, ManualClock())
+        for frame in frames([*FREE, *FREE]):
+            is_covered = frame.sequence < len(FREE)
+            watch.look(detector.feed(replace(frame, payload=BLACK) if is_covered else frame))
+        watch.turn(None)
+        acts = [act for act in store.acts() if act.verb == "not_seen"]
+
+    assert [act.arguments["seconds"] for act in acts] == pytest.approx([len(FREE) / FPS])
+    assert "blind" in acts[0].arguments["why"]
 
 
 TOO_SHORT = [*[1.0] * 8, *[0.0] * 8] * 26

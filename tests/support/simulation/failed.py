@@ -564,4 +564,16 @@ FAILED = (
         schedule=(Fault(at_s=6.5, name="reference_press", seed=1),),
         says="the page shows a pass of press #, and # came later",
     ),
+    # A station that was started while its sensor was covered did not keep that time.
+    Failure(
+        seed=0,
+        presses=3,
+        chosen=Chosen(),
+        schedule=(
+            Fault(at_s=4.0, name="blind", seed=0),
+            Fault(at_s=5.0, name="stop", seed=1),
+            Fault(at_s=6.0, name="damage", seed=0),
+        ),
+        says="nothing was seen for long until # s, and that is not in the acts",
+    ),
 )

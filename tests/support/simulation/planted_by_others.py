@@ -131,7 +131,7 @@ BY_OTHERS = (
     Bug(
         "time without sight is not kept",
         "edge/features/sensing_watch.py",
-        "            self._note_unseen(timestamp_ns)\n            self._seen_ns",
+        "            self._note_unseen((timestamp_ns - self._seen_ns) / 1e9)\n            self._seen_ns",
         "            self._seen_ns",
         "not in the acts",
     ),
