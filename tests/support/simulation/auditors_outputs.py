@@ -82,7 +82,8 @@ def audit_outputs(world: World, station: Station) -> Iterator[str]:
             for seen in presses
             if seen.judged_ns <= one.told_ns < (seen.frame_ns or seen.judged_ns) + LONGEST_S * S
         ]
-        noted = [*(seen.noted_ns for seen in station.seen if seen.noted_ns >= one.told_ns), 1 << 62][0]
+        # One that waits for room on the disk, and was judged before, is recorded before its press.
+        noted = next((seen.noted_ns for seen in station.seen if seen.judged_ns > one.told_ns), 1 << 62)
         is_unrecorded = any(one.told_ns <= ended <= noted for ended in station.ended_ns)
         if own:
             presses.remove(own[-1])
