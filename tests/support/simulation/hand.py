@@ -82,9 +82,13 @@ def draw_gel(rng: np.random.Generator, depth: float, what: str) -> NDArray[np.ui
 
 @cache
 def pictures(phase: Phase) -> Sequence[bytes]:
-    """JPEGs of one phase, each with other noise: so many that none comes again soon, also where some are left out."""
+    """JPEGs of one phase, each with other noise: so many that none comes again within the eight that the station
+    remembers, also where it looks at one of seven; of a covered sensor they are all alike."""
     rng = np.random.default_rng(200 + round(100 * phase[0]) + len(phase[1]))
-    return tuple(jpeg(draw_gel(rng, *phase)) for _ in range(29))
+    drawn = dict.fromkeys((jpeg(draw_gel(rng, *phase)),))
+    while len(drawn) < 61 and phase[0] >= 0:
+        drawn[jpeg(draw_gel(rng, *phase))] = None
+    return tuple(drawn)
 
 
 class Hand:
