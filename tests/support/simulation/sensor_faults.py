@@ -34,7 +34,11 @@ def unplug(run: "Simulation", rng: random.Random) -> float:
     """The sensor's cable is pulled, and comes back; or another sensor is plugged in for a while."""
     sensor = run.world.sensor
     # A station that has not seen its own sensor yet takes any.
-    is_other = rng.random() < 0.4 and run.station.loop.session is not None
+    is_own_seen = run.station.loop.session is not None
+    is_other = rng.random() < 0.4 and is_own_seen
+    # It takes the only one that is plugged in, and then waits for that, where it names none.
+    if not (is_own_seen or run.chosen.has_serial) and "second sensor" in run.ending:
+        run.ending.pop("second sensor")()
     sensor.is_plugged, sensor.serial = is_other, OTHER_SERIAL if is_other else SERIAL
     sensor.forget()
 
