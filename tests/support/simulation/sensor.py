@@ -22,6 +22,8 @@ BEHIND_S = 0.3
 """A reader that gets its turns has taken a frame by then."""
 READ_LATE_S = 0.15
 """So long a frame waits only where a disk holds up who reads it."""
+GAP_S, MERGES_S = 0.27, 0.5
+"""Frames further apart are an interruption; so soon after it a press may count as that before (docs/contact.md)."""
 BEING_LEARNT = "the gel was being learnt"
 """A press that meets this may be lost."""
 
@@ -152,7 +154,7 @@ class OpenSensor:
 
     def __init__(self, sensor: Sensor) -> None:
         self._sensor = sensor
-        self._sequence = 0
+        self._sequence = self._read_ns = 0
         self.identity = sensor.identity
         self._opening = sensor.openings = sensor.openings + 1
         sensor.forget()
@@ -172,6 +174,10 @@ class OpenSensor:
         if sensor.stamps_late and sensor._clock.now_ns - made_ns > READ_LATE_S * S:
             # By its times the gel is seen free for less long than it was.
             sensor.dim_until_ns = max(sensor.dim_until_ns, sensor._clock.now_ns + round(READ_LATE_S * S))
+        # A relay that is slow holds up everybody in this world.
+        if sensor.stamps_late and 0 < self._read_ns < sensor._clock.now_ns - GAP_S * S:
+            sensor.dim_until_ns = max(sensor.dim_until_ns, sensor._clock.now_ns + round(MERGES_S * S))
+        self._read_ns = sensor._clock.now_ns
         sensor.note_given(payload)
         damage, share = sensor.damage
         if damage == "corrupt" and sensor._rng.random() < share:
