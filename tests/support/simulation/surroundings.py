@@ -67,6 +67,11 @@ class Selected:
         when, part = self._changes[-1]
         return when if part is not None else 0
 
+    @property
+    def last_ns(self) -> int:
+        """When it may have been changed last, to whatever."""
+        return self._changes[-1][0]
+
     def select(self, now_ns: int, part: str) -> None:
         """Take a selection that the station has confirmed."""
         self.wanted = part

@@ -119,7 +119,8 @@ class Threads:
     def _doubt_master(self, press: MadePress) -> None:
         """The station may not wait for it any more: what is mounted has changed, or it began again."""
         world, asked_ns = self._run.world, press.master_ns - S
-        changes_ns = (world.parts.changed_ns, world.gels.changed_ns, self._run.station.began_ns)
+        told_ns = [when_ns for when_ns, _ in self._run.station.told[-1:]]  # another bundle is mounted
+        changes_ns = (world.parts.last_ns, world.gels.last_ns, self._run.station.began_ns, *told_ns)
         if max(changes_ns) > asked_ns or press.begin_ns - asked_ns > WITHIN_S * S:
             press.why.add("the master piece was asked for before a change")
 
