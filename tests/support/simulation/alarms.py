@@ -6,6 +6,22 @@ from dataclasses import dataclass
 from datetime import date
 
 from edge.clock import local_day
+from simulation.alarms_of_features import (
+    NEWEST_WORD,
+    SCORED,
+    has_escaped,
+    has_taken_over,
+    is_blind,
+    is_clock_set,
+    is_piece_late,
+    is_shadow_broken,
+    lacks_second,
+    may_be_blind,
+    may_lack_second,
+    may_piece_be_late,
+    may_shadow_be_broken,
+    may_take_over,
+)
 from simulation.auditors_outbox import REPORTED_S
 from simulation.chosen import is_small
 from simulation.disk import ROOM_BYTES
@@ -200,10 +216,10 @@ def _may_be_unproven(world: World, station: Station) -> bool:
 
 
 def _find_judged(world: World, station: Station) -> list[tuple[Seen, MadePress]]:
-    """Find the presses of parts that have passed or failed in this life, in order."""
+    """Find the presses of parts that have a score in this life, in order."""
     judged = []
     for seen in station.seen:
-        if seen.noted_ns > station.began_ns and seen.word in ("pass", "fail") and seen.frame_ns:
+        if seen.noted_ns > station.began_ns and seen.word in SCORED and seen.frame_ns:
             number = bisect(world.hand.presses, seen.frame_ns, key=lambda press: press.begin_ns)
             judged += [(seen, press) for press in world.hand.presses[:number][-1:] if not press.master_ns]
     return judged
@@ -259,24 +275,6 @@ def _is_master_due(world: World, station: Station) -> bool:
     return (station.mounted_gel()[0],) not in station.disk.read("SELECT gel_id FROM reference_presses")
 
 
-NEWEST_WORD = (
-    "SELECT arguments ->> '$.verdict' FROM acts WHERE verb = 'confirm_press' AND outcome = 'done' "
-    "AND arguments ->> '$.press_id' = press_id ORDER BY act_id DESC LIMIT 1"
-)
-"""What was said of a press last."""
-
-
-def _has_escaped(world: World, station: Station) -> bool:
-    """By the newest word on it a press that passed is damaged. The words of a day count."""
-    query = f"SELECT 1 FROM presses WHERE verdict = 'pass' AND ({NEWEST_WORD}) = 'damaged' LIMIT 1"
-    is_asked = station.signed and not _is_clock_set(world, station)
-    return bool(is_asked and station.disk.read(query))
-
-
-def _is_clock_set(world: World, station: Station) -> bool:
-    return world.clock.wall_ns != WALL_NS
-
-
 def _is_promise_broken(world: World, station: Station) -> bool:
     """A third of the presses of this bundle and gel fail, of which people call four or more good, and few damaged."""
     if not world.is_lenient or world.clock.wall_ns != WALL_NS:
@@ -297,24 +295,6 @@ def _is_promise_broken(world: World, station: Station) -> bool:
 
 def _may_promise_be_broken(world: World, station: Station) -> bool:
     return world.is_lenient
-
-
-def _is_piece_late(world: World, station: Station) -> bool:
-    """The newest piece was not complete in time, and may still lie there."""
-    query = "SELECT ended_by FROM pieces ORDER BY number DESC LIMIT 1"
-    return world.has_pieces and station.disk.read(query) == [("time",)]
-
-
-def _may_piece_be_late(world: World, station: Station) -> bool:
-    return bool(world.shelf.wrong)
-
-
-def _is_shadow_broken(world: World, station: Station) -> bool:
-    return world.shelf.is_shadow_broken and world.shelf.is_asked
-
-
-def _may_shadow_be_broken(world: World, station: Station) -> bool:
-    return world.shelf.is_shadow_broken or not world.shelf.is_asked
 
 
 SEEN = (
@@ -344,6 +324,10 @@ SEEN = (
     Rule("overview", _is_overview_away, 6.5, _is_overview_disturbed, 14.0),
     # A self-test scores golden frames while nothing presses the gel.
     Rule("golden", _is_otherwise, 8.0, _may_be_otherwise, 8.0),
+    # It stays until a person acknowledges it.
+    Rule("takeover", has_taken_over, 2.0, may_take_over, 2.0),
+    # It ends with the next press.
+    Rule("press_again", lacks_second, 0.3, may_lack_second, 2.0),
 )
 
 RECORDED = (
@@ -357,11 +341,13 @@ RECORDED = (
     # It may also be out of limits, or be waited for.
     Rule("reference", _is_master_due, 3.0, _always, 0.0),
     # What a person said is looked at each second.
-    Rule("escape", _has_escaped, 3.0, _is_clock_set, 3.0),
+    Rule("escape", has_escaped, 3.0, is_clock_set, 3.0),
     Rule("false_alarms", _is_promise_broken, 3.0, _may_promise_be_broken, 3.0),
-    Rule("piece", _is_piece_late, 3.0, _may_piece_be_late, 3.0),
+    Rule("piece", is_piece_late, 3.0, may_piece_be_late, 3.0),
     # What was asked for is opened by then, and a press has ended.
-    Rule("shadow", _is_shadow_broken, 6.0, _may_shadow_be_broken, 6.0),
+    Rule("shadow", is_shadow_broken, 6.0, may_shadow_be_broken, 6.0),
+    # It ends with the next press of which less is hidden.
+    Rule("gel_scar", is_blind, 3.0, may_be_blind, 3.0),
 )
 """They are looked at every other second, while all is recorded."""
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from edge.core.errors import GelgateError
 from edge.features.snapshots import Snapshots
+from simulation.alarms_of_features import NEWEST_WORD
 from simulation.chosen import REFERENCE, SNAPSHOT
 from simulation.lives import Asked
 from simulation.options import SECRET
@@ -14,6 +15,8 @@ from simulation.sensor import BEING_LEARNT
 
 MASTER = "the master piece"
 WITHIN_S = 20
+FAVOURED = 5
+"""So many good presses that it alone passes let a shadow take over early (docs/operations.md)."""
 TABLE = f"""
 [reference]
 enforce = "warn"
@@ -75,15 +78,27 @@ def ask_for_snapshot(run: "Simulation", rng: random.Random) -> float:
 
 def adopt_shadow(run: "Simulation", rng: random.Random) -> float:
     """A person wants the shadow, which passes everything, in the place of the bundle; or the bundle back."""
+    shelf, hand = run.world.shelf, run.world.hand
+    if shelf.heir and (hand.press is not None or hand.free_s < 0.3):  # a stop would forget what waits
+        return -0.1
     verb = rng.choice(("adopt_shadow", "adopt_shadow", "restore_bundle"))
     try:
         answer = run.station.ask(verb)
-        said = str(answer() if callable(answer) else answer)
+        taken = answer() if callable(answer) else answer
     except (ValueError, GelgateError) as error:
         run.note(f"{verb} is refused: {error}")
         run.reach("a shadow was refused")
         return 0.0
-    run.station.found.append(f"a shadow that passes everything may take over: {said}")
+    query = f"SELECT count(*) FROM presses WHERE verdict = 'fail' AND ({NEWEST_WORD}) = 'good'"
+    good = run.station.disk.read(query)[0][0]
+    if not shelf.heir:
+        run.station.found.append(f"a shadow that passes everything may take over: {taken}")
+    elif good < FAVOURED or taken["bundle_id"] != shelf.heir:
+        run.station.found.append(f"a shadow may take over, and of {good} good presses that fail: {taken}")
+    else:
+        shelf.let_take_over()
+        run.reach(f"a person asked to {verb}, and it was done")
+        run.note(f"{verb}: {taken}")
     return 0.0
 
 

@@ -24,8 +24,8 @@ def is_small(outbox_mb: float) -> bool:
     return outbox_mb < 1
 
 
-OTHERWISE = "score otherwise"
-SNAPSHOT, REFERENCE, OVERVIEW = "snapshot", "reference_press", "overview"
+OTHERWISE, MARK_GEL = "score otherwise", "mark gel"
+SNAPSHOT, REFERENCE, OVERVIEW, AGAIN = "snapshot", "reference_press", "overview", "press_again"
 """Features, two by the requests that they serve."""
 
 FULL = (("fill disk", "kill", "hang up"), ("fill disk", "lose power"), ("fill disk", "replace gel"))
@@ -126,6 +126,14 @@ FAMILIES = (
         },
         {"has_shadow": True, "features": (SNAPSHOT,)},
     ),
+    Family(
+        {MARK_GEL: 4, "break tool": 6, "stop": 1},
+        {"features": (AGAIN,), "presses": 24, "fps": 9.0, "has_shadow": False},
+    ),
+    Family(
+        {"say": 60, "adopt": 12, "break tool": 12, "acknowledge": 4, "stop": 2},
+        {"has_shadow": True, "has_heir": True, "is_lenient": True, "presses": 30},
+    ),
     Family({"plc": 5, "second plc": 2, "select part": 8, "silence": 1}, {"plc": "modbus", "is_slow": True}),
     Family({"second sensor": 20, "kill start": 6, "stop hanging": 6, "lose database": 4}),
     Family({"hang up": 40, "stop": 4, "step clock": 6, "request": 40}, {"moods": CONNECTIONS, "presses": 30}),
@@ -164,6 +172,8 @@ class Chosen:
     has_file: bool = False
     """A `jsonl` sink, too."""
     has_shadow: bool = False
+    has_heir: bool = False
+    """The shadow promises a rate of false alarms, so that it may take over by what people say."""
     has_free_view: bool = True
     """Bundles know the gel of their fit, so that a part which lies on a new one is seen at once."""
     is_lenient: bool = False
@@ -232,7 +242,7 @@ class Chosen:
         """Choose faults of all kinds. Most are left out of a run, so that others meet; runs that follow each other have
         every kind and every meeting. A PLC is always disturbed, and met by a second one."""
         drawn = [
-            name for name in names if name not in ("begin piece", "hang", OTHERWISE, *LATER)
+            name for name in names if name not in ("begin piece", "hang", OTHERWISE, MARK_GEL, *LATER)
         ]  # which come below
         rates = {name: rng.choice((1.0, 4.0)) for name in drawn if rng.random() < 0.1}
         rates |= {drawn[turn % len(drawn)]: 4.0 for turn in (number, 5 * number + 7)}

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from simulation.asked import ASKED
-from simulation.chosen import MOODS, OTHERWISE, OVERVIEW, is_small
+from simulation.chosen import MARK_GEL, MOODS, OTHERWISE, OVERVIEW, is_small
 from simulation.configuration import edit_configuration
 from simulation.disk_faults import bad_disk, fill_disk, lock_database, slow_disk
 from simulation.overview_camera import disturb_overview
@@ -23,7 +23,7 @@ from simulation.process_faults import (
     stop_hanging,
 )
 from simulation.sensor import S
-from simulation.sensor_faults import blind, damage, hold_back, shake, silence, unplug
+from simulation.sensor_faults import blind, damage, hold_back, mark_gel, shake, silence, unplug
 from simulation.shelf import break_shadow, exchange_bundle, score_otherwise
 
 if TYPE_CHECKING:
@@ -193,6 +193,7 @@ FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "damage": damage,
     "shake": shake,
     "hold back": hold_back,
+    MARK_GEL: mark_gel,
     "hang up": hang_up,
     "fill disk": fill_disk,
     "slow disk": slow_disk,

@@ -27,6 +27,8 @@ TAKES_FRAMES = 4
 """So many frames before it is pressed a part is seen; the one before is seen until then."""
 SLIPS_AFTER, SLIPPED = 22, 1.3
 """So many presses later the stop has slipped, and parts lie so much deeper."""
+MARKS = (*((left, top) for left in (56, 80, 100) for top in (36, 72)), (92, 56))
+"""Left and top of what has damaged a gel: together they hide more of a press than may be hidden."""
 PATIENCE = 0.9
 """The share of people who wait half a second more for a station that is not ready."""
 
@@ -50,6 +52,8 @@ class MadePress:
     """Which it is, where the hand takes parts of several kinds."""
     master_ns: int = 0
     """It is of the master piece, which was asked for then."""
+    is_taken: bool = False
+    """People call it good although it is dented, and a bundle that passes it may take over."""
     is_others: bool = True
     """Another sensor was plugged in all the time."""
     why: set[str] = field(default_factory=set)
@@ -57,7 +61,7 @@ class MadePress:
     @property
     def is_bad(self) -> bool:
         """It must never pass."""
-        return self.what != "sound"
+        return self.what != "sound" and not (self.is_taken and self.what == "dented")
 
     @property
     def words(self) -> set[str]:
@@ -65,9 +69,10 @@ class MadePress:
         word = {"sound": "pass", "dented": "fail", "glaring": "error"}[self.what]
         if not self.is_asked:
             return NOT_SETTLED
+        taken = {"pass"} if word == "fail" and not self.is_bad else set[str]()
         if self.way == "hard":
-            return {word, "fail", "error", *NOT_SETTLED}
-        return {word, *NOT_SETTLED} if self.way == "brief" else {word}
+            return {word, "fail", "error", *NOT_SETTLED, *taken}
+        return {word, *NOT_SETTLED, *taken} if self.way == "brief" else {word, *taken}
 
 
 def draw_gel(rng: np.random.Generator, depth: float, what: str) -> NDArray[np.uint8]:
@@ -81,14 +86,21 @@ def draw_gel(rng: np.random.Generator, depth: float, what: str) -> NDArray[np.ui
 
 
 @cache
-def pictures(phase: Phase) -> Sequence[bytes]:
+def pictures(phase: Phase, *, is_marked: bool = False) -> Sequence[bytes]:
     """JPEGs of one phase, each with other noise: so many that none comes again within the eight that the station
     remembers, also where it looks at one of seven; of a covered sensor they are all alike."""
     rng = np.random.default_rng(200 + round(100 * phase[0]) + len(phase[1]))
-    drawn = dict.fromkeys((jpeg(draw_gel(rng, *phase)),))
-    while len(drawn) < 61 and phase[0] >= 0:
-        drawn[jpeg(draw_gel(rng, *phase))] = None
+    drawn: dict[bytes, None] = {}
+    while len(drawn) < (61 if phase[0] >= 0 else 1):
+        drawn[jpeg(_mark(draw_gel(rng, *phase), is_marked=is_marked))] = None
     return tuple(drawn)
+
+
+def _mark(picture: NDArray[np.uint8], *, is_marked: bool) -> NDArray[np.uint8]:
+    for left, top in MARKS if is_marked else ():
+        place = picture[top : top + 4, left : left + 4]
+        place[:] = np.maximum(place, 70) - 70
+    return picture
 
 
 class Hand:
@@ -105,6 +117,12 @@ class Hand:
         """The part that was put on a gel before that was learnt, until somebody says so."""
         self.dents = 0
         """So many of the next parts are dented."""
+        self.takes_dents = False
+        """People call dented parts good, and a shadow passes them that may take over."""
+        self.is_marked = False
+        """The gel is damaged."""
+        self.marked_ns: list[int] = []
+        """When it was damaged, or is whole again."""
         self.is_slow = False
         """Most of its presses take long until they rest."""
         self.parts: Sequence[str] = ()
@@ -210,7 +228,7 @@ class Hand:
         self.presses.append(
             MadePress(len(self.presses), now_ns, what, way, part=self.part, master_ns=self.master_ns)
         )
-        self.master_ns = 0
+        self.master_ns, self.presses[-1].is_taken = 0, self.takes_dents
         rests = SLIPPED if self.presses[-1].number >= SLIPS_AFTER else 1.0
         self._phases.extend((rests if depth == 1.0 else depth, what) for depth in self._depths(way))
         self._phases.extend(repeat(FREE, self._frames(0.35, 0.75, 4)))

@@ -34,7 +34,7 @@ from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.model.session import TrunkSessions
 from edge.press_stage import PressStage
-from edge.store.bundles_in_use import revision
+from edge.store.bundles_in_use import read_takeover, revision
 from simulation.bundles import PARTS
 from simulation.disk import Disk, hear_audits
 from simulation.locks import SharedDatabase
@@ -198,6 +198,7 @@ class Station:
         )  # the same file in each life: opening it again would find nothing
         config = self.config
         checked.opener.newest = lambda part: _describe_store(config, partial(revision, part=part))
+        checked.opener.taken = lambda part: _describe_store(config, partial(read_takeover, part=part))
         checked.open_bundles(self.config)
         for finding in checked.findings:  # as `gelgate run`
             if finding.error is not None:
@@ -551,6 +552,9 @@ STAYS = {
     "reference",
     "escape",
     "false_alarms",
+    "gel_scar",
+    "press_again",
+    "takeover",
 }
 """Alarms that a person ends, or the next press, or that say what is not over."""
 

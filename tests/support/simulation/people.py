@@ -132,7 +132,7 @@ def request(run: "Simulation", rng: random.Random) -> float:
 def acknowledge(run: "Simulation", rng: random.Random) -> float:
     """A person acknowledges what stays."""
     station = run.station
-    raised = sorted({"pulse", "counts", "outbox_full"} & station.loop.parts.status.view().alarms)
+    raised = sorted({"pulse", "counts", "outbox_full", "takeover"} & station.loop.parts.status.view().alarms)
     for alarm in raised:
         try:
             station.ask("acknowledge_alarm", alarm=alarm)
@@ -141,6 +141,7 @@ def acknowledge(run: "Simulation", rng: random.Random) -> float:
         run.reach(f"the alarm {alarm} was acknowledged")
         station.is_loss_open &= alarm != "counts"
         station.is_drop_open &= alarm != "outbox_full"
+        run.world.shelf.is_takeover_open &= alarm != "takeover"
     return 0.0 if raised else -0.5
 
 

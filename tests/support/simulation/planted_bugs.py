@@ -37,6 +37,9 @@ SILENT = (
     "false_alarms",
     "piece",
     "shadow",
+    "takeover",
+    "press_again",
+    "gel_scar",
 )
 """Alarms that nothing else plants."""
 

@@ -20,13 +20,14 @@ from types import SimpleNamespace
 
 from edge.config import Config, load_config
 from edge.core.errors import BundleError, ConfigError, StoreError
+from simulation.alarms_of_features import WITHIN_S
 from simulation.asked import TABLE as MASTER_TABLE
 from simulation.auditors import CALM_S, audit_end, audit_now, audit_replay
 from simulation.auditors_outbox import ARCHIVED
 from simulation.auditors_page import audit_guesses, audit_page
 from simulation.auditors_pieces import audit_pieces
 from simulation.auditors_retained import audit_retained
-from simulation.chosen import MET, OVERVIEW, REFERENCE, TURN_S, Chosen, Fault
+from simulation.chosen import AGAIN, MET, OVERVIEW, REFERENCE, TURN_S, Chosen, Fault
 from simulation.conditions import reached_at_end
 from simulation.connections import AT_ONCE_S, connecting
 from simulation.disk import Disk
@@ -55,6 +56,7 @@ threads = 1
 part = "PZ0/pos1"
 trigger = "{trigger}"
 shadows = {shadows}
+{again}
 {bundles}
 [gel]
 limit_presses = 8
@@ -126,7 +128,8 @@ class Simulation:
         for file, content in ((self._secret, SECRET), (self._token, TOKEN)):
             file.write_text(content)
             file.chmod(0o600)
-        self.world.shelf = Shelf(folder / "bundles", bundles, has_free_view=self.chosen.has_free_view)
+        given = {"has_free_view": self.chosen.has_free_view, "has_promise": self.chosen.has_heir}
+        self.world.shelf = Shelf(folder / "bundles", bundles, **given)
         self._bundles, self.order = self.world.shelf.paths, list(self.world.brokers)
         self.station = Station(self.world, self._disk, self._begin_config, self._read_config)
         self.browser = Browser(self, random.Random(f"{seed} browser"))
@@ -449,7 +452,8 @@ class Simulation:
             secret=self._secret,
             trigger=self.chosen.trigger,
             shadows=shadows,
-            more=", ".join(f'"{name}"' for name in self.chosen.features if name != OVERVIEW),
+            again='press_again = "unsure"' if AGAIN in self.chosen.features else "",
+            more=", ".join(f'"{name}"' for name in self.chosen.features if name not in (OVERVIEW, AGAIN)),
             sensor=f'options = {{ serial = "{SERIAL}" }}' if self.chosen.has_serial else "",
         )
         text += TABLES.replace('"acknowledge"', '"trigger"') if self.chosen.has_pedal else TABLES
@@ -457,6 +461,7 @@ class Simulation:
         text += PIECE.format(order=self.chosen.piece) if self.world.has_pieces else ""
         text += OVERVIEW_TABLE if OVERVIEW in self.chosen.features else ""
         text += MASTER_TABLE if REFERENCE in self.chosen.features else ""
+        text += f"[press_again]\nwithin_s = {WITHIN_S}\n" if AGAIN in self.chosen.features else ""
         text += HANDSHAKE if self.world.has_plc else ""
         text += FILE.format(folder=self._disk / MESSAGES) if self.chosen.has_file else ""
         text += PAGE.format(file=self._token) if self.chosen.has_page else ""

@@ -135,7 +135,9 @@ class Sensor:
     def _picture(self, phase: tuple[float, str]) -> bytes:
         if self.is_frozen and self._last:
             return self._last
-        shown = pictures((-1.0, "covered") if self.is_covered else phase)
+        shown = (
+            pictures((-1.0, "covered")) if self.is_covered else pictures(phase, is_marked=self.hand.is_marked)
+        )
         picture = shown[self._made % len(shown)]
         self._made += 1
         comment = b"\xff\xfe" + (10).to_bytes(2, "big") + self._made.to_bytes(8, "big")

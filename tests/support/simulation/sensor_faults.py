@@ -1,15 +1,17 @@
 """Faults of the sensor (`faults.py`)."""
 
 import random
+from functools import partial
 from typing import TYPE_CHECKING
 
-from simulation.sensor import OTHER_SERIAL, SERIAL
+from simulation.sensor import BEING_LEARNT, OTHER_SERIAL, SERIAL, S
 
 if TYPE_CHECKING:
     from simulation.schedule import Simulation
 
 LONG_S = 3
 """Nobody holds a part for so long until it is seen again."""
+MARKED, NEVER_S = "the gel is damaged", 1e6
 
 
 def let_lie(run: "Simulation", rng: random.Random, lasts_s: float) -> None:
@@ -92,6 +94,37 @@ def damage(run: "Simulation", rng: random.Random) -> float:
         sensor.damage = ("", 0.0)
 
     return run.for_a_while(f"frames {kind}", rng.choice((0.5, 2, 5, 12)), mend, is_sensors=True)
+
+
+def mark_gel(run: "Simulation", rng: random.Random) -> float:
+    """What lies between two parts damages the gel, which the station knows; some presses later a person wipes it, and
+    has it learnt again."""
+    hand, clock = run.world.hand, run.world.clock
+    if hand.press is not None or hand.is_marked or not run.station.seen:
+        return -0.1
+    lasts_s = rng.choice((15, 25))
+    until_ns = clock.now_ns + lasts_s * S
+
+    def set_marked(*, is_marked: bool) -> None:
+        hand.is_marked = is_marked
+        hand.marked_ns.append(clock.now_ns)
+        hand.wait(1 if is_marked else 3)
+        if not is_marked and run.station.loop.session is not None:
+            run.station.ask("relearn")
+            run.world.new_gel_ns = clock.now_ns
+            run.world.sensor.disturb(BEING_LEARNT)
+
+    def wipe() -> float:
+        if clock.now_ns >= until_ns and hand.press is None and MARKED in run.ending:
+            run.ending.pop(MARKED)()
+        if MARKED not in run.ending:
+            leave()
+        return 0.1
+
+    set_marked(is_marked=True)
+    run.for_a_while(MARKED, NEVER_S, partial(set_marked, is_marked=False), is_sensors=True)
+    leave = run.join("wipe", wipe)
+    return lasts_s
 
 
 def shake(run: "Simulation", rng: random.Random) -> float:

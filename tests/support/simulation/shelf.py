@@ -23,18 +23,23 @@ BROKEN = ("changed under its manifest", "of another part", "cut", "half copied",
 
 PROMISE = {"alpha_floor": 0.05, "nominal_scores": [0.01] * 19, "pieces": 19}
 """One of twenty sound parts fails, says each bundle."""
+PRESSED = {"sound": ((0.01, 0.02), (0.03, 0.035), (0.04, 0.05)), "damaged": {"dent": (0.2, 9.0)}}
+"""What each knows of parts that were pressed twice: of whatever would fail another press pays."""
 
 
 class Shelf:
     """The bundles of a run. paths: those that are configured, one of each part, and `shadow`. has_free_view: each
-    knows the gel of its fit."""
+    knows the gel of its fit. has_promise: the shadow promises a rate of false alarms, too."""
 
-    def __init__(self, folder: Path, bundles: Sequence[Path], *, has_free_view: bool) -> None:
+    def __init__(
+        self, folder: Path, bundles: Sequence[Path], *, has_free_view: bool, has_promise: bool
+    ) -> None:
         self._kept = folder / "kept"
         self._kept.mkdir(parents=True)
         self._originals = [shutil.copytree(path, folder / "made" / path.name) for path in bundles]
         for path in self._originals:
             _set(path, "threshold", **PROMISE)
+            _set(path, "facts", press_again=PRESSED)
             if not has_free_view:
                 _set(path, free_view=None)
         self.paths = [folder / part for part in PARTS]
@@ -43,6 +48,8 @@ class Shelf:
         self._shadow = bundles[0].with_name("shadow")
         shutil.copytree(self._shadow, folder / "shadow")
         _set(folder / "shadow", revision=1 << 30)  # an older one would not be scored
+        if has_promise:
+            _set(folder / "shadow", "threshold", **PROMISE)
         self.ids = [_identify(path) for path in self.paths]
         """Of the bundle that each part should have after a reload."""
         self.parts = dict(zip(self.ids, PARTS, strict=True))
@@ -56,12 +63,18 @@ class Shelf:
         self.breaks = 0
         """Bundles that were exchanged by a wrong one; each kind has its turn."""
         self._revision = 0
+        self.heir = _identify(folder / "shadow") if has_promise else ""
+        """The shadow that may take over, and the bundle of the first part where it has."""
+        if has_promise:
+            self.parts[self.heir] = PARTS[0]
+        self.has_taken_over = self.is_takeover_open = False
+        """They were exchanged; and nobody has acknowledged it."""
         self.is_shadow_broken = False
 
     @property
     def replayed(self) -> list[Path]:
         """All bundles that may have judged."""
-        return [*self._originals, self._kept]
+        return [*self._originals, self._kept, self.paths[0].with_name("shadow")]
 
     def put(self, part: int, kind: str) -> None:
         """Exchange one. kind: `newer`, or one of BROKEN."""
@@ -91,6 +104,12 @@ class Shelf:
         head = self.paths[0].with_name("shadow") / "head.onnx"
         whole = (self._shadow / "head.onnx").read_bytes()
         head.write_bytes(whole[:-100] if is_broken else whole)
+
+    def let_take_over(self) -> None:
+        """The shadow takes over, or gives the place back."""
+        self.ids[0], self.heir = self.heir, self.ids[0]
+        self.has_taken_over = self.is_takeover_open = True
+        self.note_asked()
 
     def move(self, part: int) -> None:
         """Put a newer one into another folder."""

@@ -18,7 +18,7 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.press import Press
 from simulation.brokers import Broker
 from simulation.bundles import PARTS
-from simulation.chosen import OVERVIEW, Chosen
+from simulation.chosen import AGAIN, OVERVIEW, Chosen
 from simulation.configuration import Edited
 from simulation.connections import Connections
 from simulation.hand import MadePress
@@ -120,6 +120,9 @@ class World:
         self.hand = self.sensor.hand
         self.hand.is_slow = chosen.is_slow
         self.is_lenient = chosen.is_lenient
+        self.hand.takes_dents = chosen.has_heir
+        self.is_again = AGAIN in chosen.features
+        """A press that would fail asks for another one of its part."""
         names = [f"broker{number}" for number in range(chosen.brokers)]
         self.brokers = {
             name: Broker(name, random.Random(f"{seed} {name}"), self.clock, chosen.level) for name in names
