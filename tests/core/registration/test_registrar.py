@@ -14,7 +14,7 @@ import turned_parts as parts
 from calibration.fitting.pose.registration import LearntPose, learn_pose
 from edge.core.registration.colours import FreeLight
 from edge.core.registration.pose import Pose, depth_inside
-from edge.core.registration.registrar import PoseSearch, Registrar, depth_of, find_relief
+from edge.core.registration.registrar import PoseSearch, Registrar, depth_of, find_relief, shrunk
 
 RIM = Pose(34.0, -4.0, 0.4)
 
@@ -330,3 +330,10 @@ def test_the_bank_lies_in_the_middle_of_the_presses() -> None:
     found = learn_pose(presses, parts.free_gel()).registered
 
     assert abs(float(np.median([one.pose.inverse().x_px for one in found]))) < 5
+
+
+def test_a_picture_is_shrunk_to_its_longer_side() -> None:
+    """A search at full size finds the same, and takes many times as long; a smaller one stays."""
+    sizes = ((120, 160), (160, 120), (60, 80))
+    shapes = [shrunk(np.zeros((*size, 2), np.float32), 80).shape for size in sizes]
+    assert shapes == [(60, 80, 2), (80, 60, 2), (60, 80, 2)]
