@@ -40,7 +40,8 @@ def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
     before = station.waiting
     station.waiting = {row_id: _describe(*row) for row_id, *row in rows}
     with station.disk.sparing():
-        dropped = station.loop.parts.publisher.outbox_status().dropped
+        status = station.loop.parts.publisher.outbox_status()
+    dropped = status.dropped
     station.is_drop_open |= sum(dropped.values()) > sum(station.dropped.values())
     station.dropped = dropped
     if size > room_mb * 1e6:
@@ -48,9 +49,9 @@ def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
     disk = station.disk.unsynced
     is_kept_from_it = station.is_held_up or (disk is not None and disk.fails is not None)
     is_open = station.is_drop_unsaid and not is_kept_from_it
-    unsaid_ns = station.so_since(
-        "a drop is not said", is_open, station.disk_faults
-    )  # a report may have met one
+    # A report may have met a fault, and a person may have acknowledged the alarm between two looks.
+    acknowledged = sum(dropped.values()) - sum(status.unseen.values())
+    unsaid_ns = station.so_since("a drop is not said", is_open, (station.disk_faults, acknowledged))
     if unsaid_ns is not None and world.clock.now_ns - unsaid_ns > REPORTED_S * S:
         yield f"messages were dropped {REPORTED_S} s ago, and no alarm says so"
     taken = [broker.results.keys() | broker.pieces.keys() for broker in world.brokers.values()]
