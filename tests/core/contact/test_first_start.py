@@ -113,12 +113,17 @@ def test_the_free_gel_of_another_unit_is_no_witness() -> None:
     assert [len(station.of(kind)) for kind in (PressBegan, PressSettled, PressEnded)] == [1, 1, 1]
 
 
-@pytest.mark.parametrize("is_known", [False, True])
-def test_a_stored_picture_that_was_learnt_pressed_is_given_up(is_known: bool) -> None:
+@pytest.mark.parametrize("known", ["no picture", "the bundle's", "one of another size"])
+def test_a_stored_picture_that_was_learnt_pressed_is_given_up(known: str) -> None:
     """The last run began pressed and kept that picture: a free start looks touched, and is the free gel, also where the
-    bundle's picture of the free gel tells that."""
-    wrong, witness = Reference(series("PZ3", "clear")[12]), Reference(free_view("PZ3"))
-    station = Station(ContactTracker(stored=wrong, witness=witness if is_known else None), "PZ3")
+    bundle's picture of the free gel tells that, or a picture of another size tells nothing."""
+    wrong, free = Reference(series("PZ3", "clear")[12]), free_view("PZ3")
+    witness = {
+        "no picture": None,
+        "the bundle's": Reference(free),
+        "one of another size": Reference(free[:-8]),
+    }
+    station = Station(ContactTracker(stored=wrong, witness=witness[known]), "PZ3")
     station.show(2.5, 0)
     assert station.of(PressSettled) == []
     assert station.of(ReferenceCorrected)
