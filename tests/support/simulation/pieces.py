@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
 S = 10**9
 WITHIN_S = 20
+LEFT_EACH = 6
+"""One of so many pieces is left after its first press for longer than it may take."""
 PLAN = tuple(f"{part}/pos1" for part in PARTS)
 PIECE = f"""
 [piece]
@@ -26,6 +28,8 @@ class PieceWorker:
         self._rng, self.order = rng, order
         self._number = self._first = self._wanted = 0
         self._chosen = -1
+        self._left = 0
+        """The piece that was left unfinished last."""
 
     def act(self, run: "Simulation") -> float:
         """Between two presses: take the next piece when this one has its presses; returns the seconds until the next
@@ -37,6 +41,10 @@ class PieceWorker:
         if made >= self._wanted:
             hand.wait(0.4)
             self._begin(run)
+        elif made == 1 and self._number % LEFT_EACH == 3 and self._left != self._number:
+            self._left = self._number
+            hand.wait(WITHIN_S + 6)
+            run.note(f"piece {self._number} is left for a while")
         elif self.order == "free" and self._chosen != made:
             hand.wait(0.4)
             self._choose(run, made)
