@@ -387,8 +387,11 @@ class Simulation:
         """The process ends, and presses that wait for room on the disk with it; they count on the gel at the next start
         (docs/operations.md)."""
         disk, now_ns = self.station.disk, self.world.clock.now_ns
+        # A full disk may still have room for a press in what is there already.
+        recorded_ns = max((seen.frame_ns or seen.came_ns for seen in self.station.seen), default=0)
+        since_ns = max(disk.full_since_ns, recorded_ns)
         for press in self.world.hand.presses:
-            is_waiting = press.begin_ns > disk.full_since_ns and 0 < press.end_ns < now_ns - 2 * S
+            is_waiting = press.begin_ns > since_ns and 0 < press.end_ns < now_ns - 2 * S
             is_lost = is_waiting and not (press.must_count or press.why - {"the station said 'halted'"})
             press.must_count |= is_lost
             self.station.is_loss_open |= is_lost
