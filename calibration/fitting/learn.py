@@ -238,11 +238,10 @@ def read_confirmed(
     return presses
 
 
-def write_pictures(presses: Sequence[ConfirmedPress], folder: Path) -> None:
-    """Write them as pictures with the names of their presses."""
+def write_pictures(presses: Sequence[ConfirmedPress], folder: Path) -> list[Path]:
+    """Write them as pictures with the names of their presses, and return these, sorted."""
     folder.mkdir()
-    for confirmed_press in presses:
-        write_picture(confirmed_press.press, confirmed_press.frame, folder)
+    return sorted(write_picture(confirmed.press, confirmed.frame, folder) for confirmed in presses)
 
 
 def join_pieces(presses: NominalPresses, confirmed: Sequence[ConfirmedPress]) -> NominalPresses:

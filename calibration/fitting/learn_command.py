@@ -86,11 +86,10 @@ def learn(given: LearnArguments) -> None:
     config = configure_again(old, given.alpha, given.threads, given.gel)
     with tempfile.TemporaryDirectory() as folder:
         pictures = Path(folder) / "confirmed"
-        write_pictures(confirmed.good, pictures)
         presses = read_again(
             old,
             given.sources,
-            more=sorted(pictures.iterdir()),
+            more=write_pictures(confirmed.good, pictures),
             no_contact=given.no_contact,
             leave_out=given.leave_out or (),
         )

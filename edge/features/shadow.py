@@ -36,7 +36,6 @@ log = logging.getLogger(__name__)
 MOST_S: Final = 1.0
 """What a shadow may take, or as long as the score of the bundle in use: verdicts wait for it."""
 
-
 MOST_GOOD_PASSES: Final = 50
 """Good presses of before the shadow that the bundle in use passed, the newest, of which the shadow must fail none more:
 some seconds."""
