@@ -213,7 +213,7 @@ class SinkWorker:
         self._unsaid_ns = 0  # when they were said again, or the first of them was refused
         self._clock = clock
         self._passed = 0  # every row up to this one is settled with this sink
-        self._accepted: list[OutboxRow] = []  # rows that the sink accepted; the store does not know it yet
+        self._accepted: list[int] = []  # rows that the sink accepted; the store does not know it yet
         self._is_store_failing = False
         # Rows up to this one waited for the sink, or for this process to start: they are late when they are sent.
         self._late_up_to = outbox.newest()
@@ -292,7 +292,7 @@ class SinkWorker:
                 raise
             self._set_aside(row, f"it cannot be sent ({type(error).__name__}: {error}); it may be damaged")
             return
-        self._accepted.append(row)
+        self._accepted.append(row.row_id)
         if row.message.retain:
             self._retained_state.remember(row.message, row.row_id)
         self._refuses.discard(kind_of(row.message))
@@ -302,7 +302,7 @@ class SinkWorker:
         """Acknowledge what the sink has accepted. Errors: StoreError; then it waits for the next step."""
         if not self._accepted:
             return
-        self._outbox.acknowledge([row.row_id for row in self._accepted], self.name)
+        self._outbox.acknowledge(self._accepted, self.name)
         self.counters = replace(self.counters, sent=self.counters.sent + len(self._accepted))
         self._accepted.clear()
         self._note_stored()
