@@ -27,8 +27,8 @@ S = 10**9
 ANSWERED_S, CONNECTED_S = 10.0, 2.0
 """How long the sink waits for an acknowledgement, and for one of a CONNECT (docs/mqtt.md)."""
 DRAINED_S = 2.0
-AT_ONCE_S = 0.01
-"""What the options say instead: the run has waited already when the program begins to."""
+AT_ONCE_S = 1e-5
+"""What the sink takes instead: the run has waited already when the program begins to."""
 
 
 class Turns:
@@ -242,7 +242,8 @@ class SimulatedMqtt:
         do = station.on_command
         assert do is not None
         heard = replace(station, on_command=lambda verb, payload: now.answer(do, verb, payload))
-        sink = now.sinks[options.host] = Mqtt().make(options, heard, now.clock)
+        at_once = options.model_copy(update={"acknowledge_s": AT_ONCE_S})
+        sink = now.sinks[options.host] = Mqtt().make(at_once, heard, now.clock)
         sink._publishing = TurnLock(now)  # type: ignore[assignment]
         now.brokers[options.host].root = station.root
         return sink

@@ -374,6 +374,7 @@ class Station:
         self.killed_ns.append(self.world.clock.now_ns)
         self.world.connections.end_turns()
         self.loop.parts.calls.close(self.loop)
+        self.loop.parts.selection.golden.close()
         self.hear_answers()
         self._closing.close()
         self.disk.forget()
@@ -398,6 +399,7 @@ class Station:
         self.world.connections.end_turns()
         if hasattr(self, "loop"):
             self.loop.parts.calls.close(self.loop)
+            self.loop.parts.selection.golden.close()
             self.hear_answers()
         self._closing.close()
         hear_audits(None)

@@ -29,7 +29,7 @@ from simulation.auditors_pieces import audit_pieces
 from simulation.auditors_retained import audit_retained
 from simulation.chosen import AGAIN, MET, OVERVIEW, REFERENCE, TURN_S, Chosen, Fault
 from simulation.conditions import reached_at_end
-from simulation.connections import AT_ONCE_S, connecting
+from simulation.connections import connecting
 from simulation.disk import Disk
 from simulation.faults import FAULTS, NEEDS_ANSWER, NEEDS_DISK
 from simulation.lives import Station
@@ -78,7 +78,7 @@ PATIENCE = 0.99
 """Of a fault that waits for its moment, each tenth of a second."""
 BROKERS_S = 0.8
 """So long after its begin a station has seen its sensor, and recorded no press."""
-SINK = '[[sinks]]\nplugin = "simulated"\noptions = {{ host = "{name}", acknowledge_s = {at_once_s} }}\n'
+SINK = '[[sinks]]\nplugin = "simulated"\noptions = {{ host = "{name}" }}\n'
 
 FILE = '[[sinks]]\nplugin = "jsonl"\noptions = {{ folder = "{folder}" }}\n'
 
@@ -460,7 +460,7 @@ class Simulation:
             sensor=f'options = {{ serial = "{SERIAL}" }}' if self.chosen.has_serial else "",
         )
         text += TABLES.replace('"acknowledge"', '"trigger"') if self.chosen.has_pedal else TABLES
-        text += "".join(SINK.format(name=name, at_once_s=AT_ONCE_S) for name in self.order)
+        text += "".join(SINK.format(name=name) for name in self.order)
         text += PIECE.format(order=self.chosen.piece) if self.world.has_pieces else ""
         text += OVERVIEW_TABLE if OVERVIEW in self.chosen.features else ""
         text += MASTER_TABLE if REFERENCE in self.chosen.features else ""
