@@ -124,8 +124,7 @@ class MqttSink:
         A message that the birth of this connection has just published is not published again.
         """
         self._tried.wait(self._broker.timeout_s)
-        connection = self._connection
-        if connection is None:
+        if (connection := self._connection) is None:
             raise SinkUnavailable(self._why_down)
         if self._born.pop(message.topic, None) == message:
             self._strikes.delivered(message)
@@ -137,9 +136,10 @@ class MqttSink:
             self._is_end_sent = self._is_offline_sent or offline is None
         try:
             with self._publishing:
+                was_up = connection.is_up  # else it is not sent: its loss is not noted yet
                 connection.publish(self._outgoing(message))
         except SinkUnavailable as error:
-            if not (connection.is_up or self._closing.is_set()):
+            if was_up and not (connection.is_up or self._closing.is_set()):
                 self._strikes.lost(message, connection, error)
             raise
         except SinkRejected as error:

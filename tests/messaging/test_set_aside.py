@@ -88,6 +88,21 @@ def test_three_closings_on_one_message_after_others_were_taken_are_its_refusal(
     assert outcomes(sink, 3) == [SinkUnavailable, SinkUnavailable, SinkRejected]
 
 
+def test_a_message_that_finds_the_connection_lost_is_no_reason(
+    scripted: ScriptedBroker, stepped: Stepped
+) -> None:
+    """It was not sent. It is not refused, however often it is tried, and takes no proof from the one that was."""
+    scripted.topics = {"result": "close"}
+    sink = stepped(scripted, STATE)
+    for _ in range(STRIKES - 1):
+        assert outcomes(sink, 1) == [SinkUnavailable]
+        for _ in range(STRIKES):
+            with pytest.raises(SinkUnavailable):
+                sink.send(LAST)
+
+    assert outcomes(sink, 1) == [SinkRejected]
+
+
 def test_closings_with_nothing_taken_are_no_refusal(scripted: ScriptedBroker, stepped: Stepped) -> None:
     """It may close on any message: a broker in trouble must not empty the queue into the refused rows."""
     scripted.topics = {"result": "close"}
