@@ -92,6 +92,7 @@ class ContactFollower:
 
     def _take(self, phase: Phase, strength: float) -> None:
         is_free, nominal = phase == "free", self.nominal
+        self._is_doubtful |= phase == "over it"
         if is_free:
             self._is_overloaded = False
             # What presses before the press is over continues it, and may be another part.

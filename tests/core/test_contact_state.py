@@ -56,6 +56,7 @@ def follow(
 
 
 WHOLE = ["unknown", "free", "touching", "pressing", "deep_enough", "at_rest", "judged", "lift", "free"]
+LIGHT = [state for state in WHOLE[:-1] if state != "deep_enough"]
 
 
 @pytest.mark.parametrize(
@@ -93,6 +94,8 @@ WHOLE = ["unknown", "free", "touching", "pressing", "deep_enough", "at_rest", "j
         ),
         ([*FREE, *HELD, 0.0, *HELD, *LIFT, *FREE[:9]], {}, [*WHOLE, "unknown", "free"]),
         ([*FREE, *HELD, 0.0, *HELD, *LIFT, *FREE[:9], *HELD], {}, [*WHOLE, "unknown", *WHOLE[1:8]]),
+        ([*FREE, *[0.15] * 20, *HELD[6:], *FREE[:9]], {}, [*LIGHT, "unknown", "free"]),
+        ([*FREE, *[0.5] * 20, *HELD[6:], *FREE[:9]], {}, [*LIGHT, "free"]),
     ],
     ids=[
         "a press",
@@ -107,6 +110,8 @@ WHOLE = ["unknown", "free", "touching", "pressing", "deep_enough", "at_rest", "j
         "an interruption after the verdict, and another part before its press was over",
         "free for a frame: perhaps another part",
         "free for a frame, and a press after it",
+        "a mark that was taken for a press, and a part over it",
+        "pressed deeper after its verdict",
     ],
 )
 def test_states(depths: list[float | None], given: dict[str, object], said: list[str]) -> None:

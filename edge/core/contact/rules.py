@@ -166,7 +166,12 @@ def _entered(track: Track, before: Track, seen: Observation, settings: ContactSe
         case State.BASELINE, State.CONTACT:
             return replace(_start_press(track, seen), is_counted=False)
         case State.SETTLING, State.CONTACT:
-            return replace(track, imprint=seen.imprint)
+            return replace(
+                track,
+                imprint=seen.imprint,
+                decided_area=track.peak,
+                decided_strength=track.strength_peak,
+            )
         case State.DOUBT, State.RECOVERY:
             return replace(
                 track,

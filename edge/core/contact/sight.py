@@ -40,6 +40,10 @@ _AGAIN: Final = Sentence(
     "the gel was free for a moment, too short to end the press, and is pressed again: of two parts one is neither "
     "judged nor counted. Lift for 0.2 s between parts"
 )
+_OVER_IT: Final = Sentence(
+    "what touched the gel lightly was taken for a press, and now the gel is pressed far more: a part that came "
+    "meanwhile is neither judged nor counted. Look at the gel, wipe it, and press the part again"
+)
 
 
 @final
@@ -139,19 +143,24 @@ class LongContact:
     def __init__(self) -> None:
         self._lengths_s: deque[float] = deque(maxlen=_CONTACTS_KEPT)
         self._began_ns: int | None = None
-        self._is_lifted = self._is_again = False
+        self._is_lifted = False
+        self._again: Sentence | None = None
 
     def begin(self, timestamp_ns: int) -> None:
         """A press began."""
         self._began_ns = timestamp_ns
-        self._is_lifted = self._is_again = False
+        self._is_lifted, self._again = False, None
 
     def see(self, phase: Phase) -> None:
-        """Notice that the gel is pressed again after it was free, while the press is not over."""
-        if self._began_ns is not None and phase == "free":
+        """Notice that the gel is pressed again, after it was free or over what lies there, before the press is over."""
+        if self._began_ns is None:
+            return
+        if phase == "free":
             self._is_lifted = True
+        elif phase == "over it":
+            self._again = self._again or _OVER_IT
         elif self._is_lifted and phase != "unseen":
-            self._is_again = True
+            self._again = _AGAIN
 
     def leave_out(self, seconds: float, until_ns: int) -> None:
         """Nothing was seen for so long until then: that time is no part of the contact."""
@@ -163,7 +172,7 @@ class LongContact:
         if self._began_ns is not None:
             self._lengths_s.append((timestamp_ns - self._began_ns) / 1e9)
         self._began_ns = None
-        self._is_lifted = self._is_again = False
+        self._is_lifted, self._again = False, None
 
     @property
     def limit_s(self) -> float:
@@ -175,7 +184,7 @@ class LongContact:
         whether it is a fault."""
         lasted_s = 0.0 if self._began_ns is None else (timestamp_ns - self._began_ns) / 1e9
         if lasted_s < self.limit_s:
-            return _AGAIN if self._is_again else None, False
+            return self._again, False
         usual = Sentence(f", usually {median(self._lengths_s):.1f} s") if self._lengths_s else ""
         # A text that stays the same is published once.
         text = Sentence(

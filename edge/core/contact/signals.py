@@ -57,6 +57,9 @@ class Track:
     peak: float = 0.0
     relief_peak: float = 0.0
     strength_peak: float = 0.0
+    decided_area: float = 0.0
+    """Its largest area until its frame was chosen, or it was given up; the next is its largest strength until then."""
+    decided_strength: float = 0.0
     touched_ns: int = 0
     """When something last touched that is no press."""
     sunk_ns: int | None = None
@@ -83,9 +86,10 @@ class Track:
         return self.state in PRESSED
 
 
-Phase = Literal["unseen", "free", "touching", "pressed", "resting", "decided"]
+Phase = Literal["unseen", "free", "touching", "pressed", "resting", "decided", "over it"]
 """What a view shows of the present contact. unseen: nothing that can be trusted; touching: not yet, or hardly any more,
-a press; resting: a press without a verdict that is at rest; decided: one whose frame is chosen, or that has none."""
+a press; resting: a press without a verdict that is at rest; decided: one whose frame is chosen, or that has none;
+over it: so much more than what was decided that it may be another part."""
 
 
 def phase_of(track: Track, seen: Observation | None, settings: ContactSettings) -> Phase:
@@ -109,7 +113,7 @@ def phase_of(track: Track, seen: Observation | None, settings: ContactSettings) 
         case State.SETTLING:
             return "resting" if track.window.is_at_rest(settings) else "pressed"
         case State.CONTACT:
-            return "decided"
+            return "over it" if _is_pressed_over(track, seen, settings) else "decided"
         case State.RELEASE:
             return "free" if _is_over(track, seen, settings) else "decided"
     return "unseen"
@@ -119,6 +123,13 @@ def _is_over(track: Track, seen: Observation | None, settings: ContactSettings) 
     """Tell whether a press that is being lifted touches no more."""
     is_gone = seen is not None and seen.area == 0 and track.peak >= _WIDE_TIMES * settings.on_area
     return track.frames > 1 or is_gone
+
+
+def _is_pressed_over(track: Track, seen: Observation | None, settings: ContactSettings) -> bool:
+    """Tell whether a part seems to press over what touched lightly and was taken for a press, as a hair or a mark."""
+    if seen is None or seen.strength < _NEW_PRESS_TIMES * track.decided_strength:
+        return False
+    return seen.area >= max(settings.on_area, _WIDER_TIMES * track.decided_area)
 
 
 # A log ratio of structure (`Relief.gain`): a part that presses adds some, a reference learnt from a pressed gel has
@@ -137,6 +148,8 @@ _RECOIL_SHARE: Final = 0.1
 _WIDE_TIMES: Final = 2
 # Over a residue, an imprint of this many times its strength is a new press.
 _NEW_PRESS_TIMES: Final = 2.0
+# A press whose area grows by this much after it rested was hardly one.
+_WIDER_TIMES: Final = 4.0
 # A light press is over when its relief has fallen to this share: it has no area to decide by.
 _LIGHT_RELEASE_SHARE: Final = 0.25
 

@@ -187,3 +187,14 @@ def test_a_press_that_shows_no_area_is_over_with_that_frame() -> None:
     """A narrow one is over after two, for its area may come and go."""
     assert phases([*[0.0] * 60, *[1.0] * 20, 0.0])[-1] == "free"
     assert phases([*[0.0] * 60, *[0.04] * 20, 0.0])[-1] != "free"
+
+
+@pytest.mark.parametrize(
+    ("depth", "said"), [(0.1, "over it"), (0.2, "over it"), (0.5, "decided"), (1.0, "decided")]
+)
+def test_a_part_over_what_was_taken_for_a_press_is_said(depth: float, said: str) -> None:
+    """As over a hair, or over a mark that went: both are one press, whose verdict is not the part's."""
+    shown = phases([*[0.0] * 60, *[depth] * 25, *[1.0] * 15, *[0.0] * 8])
+    assert shown[84] == "decided"
+    assert set(shown[85:100]) == {said}
+    assert shown[-1] == "free"

@@ -67,3 +67,19 @@ def test_a_gel_that_is_pressed_again_before_the_press_is_over_is_said() -> None:
     contact.begin(3 * S)
     contact.see("pressed")
     assert contact.look(4 * S)[0] is None
+
+
+def test_a_part_over_what_was_taken_for_a_press_is_neither_judged_nor_counted() -> None:
+    """That is said until the gel is free, also where little of the part shows in some views."""
+    contact = LongContact()
+    contact.see("over it")
+    contact.begin(0)
+    contact.see("decided")
+    assert contact.look(S)[0] is None
+    for phase in ("over it", "decided"):
+        contact.see(phase)
+        sentence, is_fault = contact.look(S)
+        assert "a part that came meanwhile is neither judged nor counted" in str(sentence)
+        assert not is_fault
+    contact.end(2 * S)
+    assert contact.look(2 * S)[0] is None
