@@ -51,6 +51,7 @@ SOMETIMES = (
     "a master piece was asked for",
     "a master piece was pressed",
     "the free gel was learnt again",
+    "marks on a gel went by themselves",
     "the free gel was learnt again while something pressed",
     "the alarm pulse was acknowledged",
     "the alarm counts was acknowledged",

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 LONG_S = 3
 """Nobody holds a part for so long until it is seen again."""
 MARKED, NEVER_S = "the gel is damaged", 1e6
+TAKEN_FOR_A_PRESS = "was taken for a press"
 
 
 def let_lie(run: "Simulation", rng: random.Random, lasts_s: float) -> None:
@@ -98,18 +99,23 @@ def damage(run: "Simulation", rng: random.Random) -> float:
 
 def mark_gel(run: "Simulation", rng: random.Random) -> float:
     """What lies between two parts damages the gel, which the station knows; some presses later a person wipes it, and
-    has it learnt again."""
+    has it learnt again, or it goes by itself."""
     hand, clock = run.world.hand, run.world.clock
     if hand.press is not None or hand.is_marked or not run.station.seen:
         return -0.1
-    lasts_s = rng.choice((15, 25))
+    lasts_s, goes_by_itself = rng.choice((15, 25)), rng.random() < 0.5
     until_ns = clock.now_ns + lasts_s * S
 
     def set_marked(*, is_marked: bool) -> None:
         hand.is_marked = is_marked
         hand.marked_ns.append(clock.now_ns)
         hand.wait(1 if is_marked else 3)
-        if not is_marked and run.station.loop.session is not None:
+        if is_marked:
+            return
+        if goes_by_itself:
+            run.reach("marks on a gel went by themselves")
+            _hear_of_contact(run)
+        elif run.station.loop.session is not None:
             run.station.ask("relearn")
             run.world.new_gel_ns = clock.now_ns
             run.world.sensor.disturb(BEING_LEARNT)
@@ -125,6 +131,23 @@ def mark_gel(run: "Simulation", rng: random.Random) -> float:
     run.for_a_while(MARKED, NEVER_S, partial(set_marked, is_marked=False), is_sensors=True)
     leave = run.join("wipe", wipe)
     return lasts_s
+
+
+def _hear_of_contact(run: "Simulation") -> None:
+    """Hear what the station says of the next parts: what has gone may have counted as a press, and a part over it is
+    then one press with it (docs/contact.md)."""
+    hand, parts = run.world.hand, len(run.world.hand.presses)
+
+    def look() -> float:
+        raised = run.station.loop.parts.status._raised.get("contact")
+        if raised is not None and TAKEN_FOR_A_PRESS in raised[0] and hand.press is not None:
+            hand.press.why.add("the alarm contact says that it is not judged")
+            run.reach("a part over what was taken for a press was said")
+        if len(hand.presses) > parts + 2:
+            leave()
+        return 0.05
+
+    leave = run.join("contact", look)
 
 
 def shake(run: "Simulation", rng: random.Random) -> float:
