@@ -576,4 +576,49 @@ FAILED = (
         ),
         says="nothing was seen for long until # s, and that is not in the acts",
     ),
+    # Marks on a gel went by themselves and were taken for a press; the next part over it was one press with it.
+    Failure(
+        seed=321,
+        presses=20,
+        chosen=Chosen(
+            sloth_s=0.03,
+            fps=9.0,
+            has_serial=True,
+            forgets=True,
+            presses=24,
+            features=("press_again",),
+            is_slow=True,
+            stamps_late=True,
+        ),
+        schedule=(
+            Fault(at_s=26.151739, name="mark gel", seed=2),
+            Fault(at_s=29.825938, name="stop", seed=2092692727),
+        ),
+        says="press # at # s is lost, without any fault",
+    ),
+    # The configuration was edited after a master piece was asked for, and nobody took that for a change: it is refused.
+    Failure(
+        seed=7100,
+        presses=8,
+        chosen=Chosen(
+            has_shadow=True,
+            is_lenient=True,
+            meetings=(
+                ("hang up", "lose database"),
+                ("plc", "stop"),
+                ("fill disk", "replace gel"),
+                ("damage",),
+            ),
+            has_serial=True,
+            features=("snapshot", "reference_press"),
+        ),
+        schedule=(
+            Fault(at_s=2.816983, name="lose database", seed=2284622285),
+            Fault(at_s=11.496789, name="edit configuration", seed=439540712),
+            Fault(at_s=12.00307, name="stop", seed=1196716536),
+            Fault(at_s=16.510341, name="reference_press", seed=3712302518),
+            Fault(at_s=16.624465, name="edit configuration", seed=1334681753),
+        ),
+        says="press # is of the master piece, and has a result",
+    ),
 )
