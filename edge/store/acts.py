@@ -153,11 +153,12 @@ def was_adopted(connection: sqlite3.Connection, bundle_id: str) -> bool:
 
 
 def find_unseen_takeover(connection: sqlite3.Connection) -> Act | None:
-    """Find the newest takeover; None where there is none, or somebody has acknowledged its alarm since."""
+    """Find the newest takeover; None where there is none, or somebody has acknowledged its alarm since. A refused
+    request may have any verb."""
     row = connection.execute(
-        f"SELECT {_COLUMNS} FROM acts WHERE verb = ? AND act_id > coalesce((SELECT max(act_id) FROM acts WHERE "
-        "verb = 'acknowledge_alarm' AND outcome = 'done' AND json_extract(arguments, '$.alarm') = 'takeover'), 0) "
-        "ORDER BY act_id DESC LIMIT 1",
+        f"SELECT {_COLUMNS} FROM acts WHERE verb = ? AND outcome = 'done' AND act_id > coalesce((SELECT max(act_id) "
+        "FROM acts WHERE verb = 'acknowledge_alarm' AND outcome = 'done' AND "
+        "json_extract(arguments, '$.alarm') = 'takeover'), 0) ORDER BY act_id DESC LIMIT 1",
         (TAKE_OVER,),
     ).fetchone()
     return None if row is None else _act(row)

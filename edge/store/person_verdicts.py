@@ -140,13 +140,14 @@ def read_askable(connection: sqlite3.Connection, after: int, most: int) -> list[
     return [(number, Asked(*row)) for number, *row in rows]
 
 
+_IS_ASKED_AGAIN = f"verb = '{ASK_AGAIN}' AND outcome = 'done'"  # a refused request may have any verb
 _ASKED = "number, press_id, presses.time_ns, presses.verdict, score / threshold, part, position"
 
 
 def ask_again(store: Store, press_ids: Iterable[str], who: str, time_ns: int) -> str:
     """Have the station ask about presses once more, each once ever: a word of it stands against a new bundle. Return a
     sentence that names them, empty for none. who: for the table of acts. Errors: StoreError."""
-    query = f"SELECT json_extract(arguments, '$.press_id') FROM acts WHERE verb = '{ASK_AGAIN}'"
+    query = f"SELECT json_extract(arguments, '$.press_id') FROM acts WHERE {_IS_ASKED_AGAIN}"
     known = {
         row[0] for row in store.read("reading what is asked again", lambda it: it.execute(query).fetchall())
     }
@@ -173,8 +174,7 @@ class AskedAgain:
         """Read those that nobody has spoken of since they were asked, oldest first."""
         rows = connection.execute(
             f"SELECT act_id, {_ASKED} FROM acts JOIN presses ON press_id = json_extract(arguments, '$.press_id') "
-            "WHERE acts.verb = ? ORDER BY presses.number",
-            (ASK_AGAIN,),
+            f"WHERE {_IS_ASKED_AGAIN} ORDER BY presses.number",
         ).fetchall()
         asked = {row[0]: (act_id, Asked(*row)) for act_id, _, *row in rows}
         if asked:

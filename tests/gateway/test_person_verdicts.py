@@ -457,6 +457,23 @@ def test_a_word_that_stands_in_the_way_is_asked_for_once_more(played: SteppedSta
     assert [one for one in check_database(store.path) if one.is_fault] == []
 
 
+def test_a_refused_request_does_not_ask_once_more_and_does_not_keep_from_asking(
+    played: SteppedStation,
+) -> None:
+    """Anybody may ask a broker for any verb, and each refusal is an act."""
+    store, ids = played.parts.store, [one.press_id for one in played.results]
+    say(played)(press_id=ids[3], verdict="damaged")
+    settle(played)
+    before = played.said("questions")["presses"]
+
+    refused = Act(1, "kim, over MQTT, unsigned", "ask_again", "7", {"press_id": ids[3]}, outcome="refused")
+    store.begin_act(refused, 0)
+    settle(played)
+
+    assert played.said("questions")["presses"] == before
+    assert ask_again(store, [ids[3]], "gelgate bundle learn", 1) != ""
+
+
 def test_what_is_asked_once_more_is_found_without_reading_all_that_was_said(played: SteppedStation) -> None:
     """Each word is read once."""
     store, ids = played.parts.store, [one["press_id"] for one in played.said("questions")["presses"]]

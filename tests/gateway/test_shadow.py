@@ -197,6 +197,27 @@ def test_a_takeover_is_an_alarm_until_somebody_acknowledges_it(
     assert (after_restart, acknowledged) == (text, None)
 
 
+def test_a_refused_request_with_the_name_of_a_takeover_is_none(
+    shadowed: Shadowed, bundle: Path, shadow: Path, few: None
+) -> None:
+    """Anybody may ask a broker or a page for any verb, and each refusal is an act."""
+    refused = Act(1, "page", "take_over", "7", {"part": 1}, outcome="refused", sentence="it needs the token")
+    config = shadowed(bundle, shadow)
+    with SteppedStation(config) as station:
+        station.parts.store.begin_act(refused, 0)
+    with SteppedStation(config) as second:
+        second.turn()
+        assert second.alarm("takeover") is None
+        second.play_presses(1)
+        adopt(second)
+        text = second.alarm("takeover")
+        second.parts.store.begin_act(refused, 0)
+    with SteppedStation(config) as last:
+        last.turn()
+        assert text is not None
+        assert last.alarm("takeover") == text
+
+
 def test_a_takeover_waits_for_a_press_end(shadowed: Shadowed, bundle: Path, shadow: Path, few: None) -> None:
     with SteppedStation(shadowed(bundle, shadow)) as station:
         station.play_presses(1)
