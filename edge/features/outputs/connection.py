@@ -78,7 +78,11 @@ class Connection(Generic[P]):
         self.retry_ns = self._clock.monotonic_ns() + round(self._backoff.failed() * 1e9)
 
     def close(self) -> None:
-        """Release the device; may be called again."""
+        """Release the device; may be called again. One that is gone may fail at it, and its owner goes on."""
         port, self.port = self.port, None
-        if port is not None:
+        if port is None:
+            return
+        try:
             port.close()
+        except Exception:
+            log.exception("%s cannot be closed", port.name)

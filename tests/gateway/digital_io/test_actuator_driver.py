@@ -191,6 +191,24 @@ def test_a_driver_with_a_defect_is_an_alarm_and_is_tried_again(caplog: pytest.Lo
     assert bench.faults[-1] is None
 
 
+def test_a_board_that_fails_to_close_is_opened_again() -> None:
+    """A library may fail to close what is gone; the outputs would stay as they are when it is back, a pass light on."""
+
+    def fail() -> None:
+        raise OSError("no such device")
+
+    bench = Bench()
+    bench.run(0.5, StationView("ready", "pass"))
+    bench.relay.plugged_in, bench.relay.close = False, fail  # type: ignore[method-assign]
+    bench.run(0.5, StationView("halted"))
+    assert bench.faults == ["the relay is gone"]
+    bench.relay.plugged_in = True
+    bench.run(2, StationView("halted"))
+
+    assert bench.faults[-1] is None
+    assert bench.relay.on == {2}
+
+
 def test_closing_leaves_the_outputs_of_stopped_and_gives_no_pulse() -> None:
     """A pulse that waits is reported."""
     bench = Bench((*RULES[:3], OutputRule(4, frozenset({"stopped"}))))

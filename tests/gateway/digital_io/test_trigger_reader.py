@@ -127,3 +127,21 @@ def test_a_driver_with_a_defect_is_an_alarm_and_is_tried_again() -> None:
 
     assert bench.faults[-1] is None
     assert bench.presses == [5040]
+
+
+def test_a_pedal_that_fails_to_close_is_opened_again() -> None:
+    """A library may fail to close what is gone; its owner would end in silence, and the pedal would be dead."""
+
+    def fail() -> None:
+        raise OSError("no such device")
+
+    bench = Bench((5000, True))
+    bench.run(0.5)
+    bench.pedal.plugged_in, bench.pedal.close = False, fail  # type: ignore[method-assign]
+    bench.run(0.3)
+    assert bench.faults == ["the pedal is gone"]
+    bench.pedal.plugged_in = True
+    bench.run(5)
+
+    assert bench.faults[-1] is None
+    assert bench.presses == [5040]
