@@ -291,6 +291,8 @@ def test_controls_are_pinned_before_the_stream(tmp_path: Path, clock: ManualCloc
         "exposure_auto": 1,
         "white_balance_temperature": 4500,
         "gamma": 9000,
+        "gain": 70_000,
+        "sharpness": -1,
         "zoom": 1,
     }
     options = options_for(tmp_path, controls=controls | {"white_balance_automatic": 0, "brightness": -5})
@@ -298,4 +300,17 @@ def test_controls_are_pinned_before_the_stream(tmp_path: Path, clock: ManualCloc
     values = plugin.bench(options).sensor.controls.values
     assert (values["exposure_time_absolute"], values["auto_exposure"], values["brightness"]) == (180, 1, -5)
     assert values["white_balance_temperature"] == 4500
-    assert set(getattr(device, "unset_controls")) == {"gamma", "zoom"}  # noqa: B009
+    unset = getattr(device, "unset_controls")  # noqa: B009
+    assert set(unset) == {"gain", "gamma", "sharpness", "zoom"}
+
+
+def test_an_answer_that_is_too_short_is_a_sensor_that_is_lost(
+    tmp_path: Path, clock: ManualClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is tried again; any other error would end the gateway."""
+    monkeypatch.setattr("plugins.devices.virtual.camera.PROBE_BYTES", 10)
+    options = options_for(tmp_path)
+    with pytest.raises(DeviceLost, match=r"GelSight Mini .* found 10"):
+        plugin.open(options, clock)
+    monkeypatch.undo()
+    plugin.open(options, clock).close()

@@ -142,6 +142,8 @@ class TestControls:
         assert set(unset) == {"gamma", "zoom"}
         assert "Numerical result out of range" in unset["gamma"]
         assert control_ids(0, camera) == {"gain": 1, "gamma": 2}
+        unset = pin_v4l2_controls(node, {"gain": 2**31, "gamma": 200}, camera)
+        assert set(unset) == {"gain"}
         unset = pin_v4l2_controls(node, {"gain": 7}, Stubborn({"Gain": [1, 5, 100]}))
         assert unset == {"gain": "set to 7, reads back 5"}
         assert pin_v4l2_controls(node / "nowhere", {}) == {}

@@ -5,6 +5,7 @@ some controls; both names are understood here and in the V4L2 path.
 """
 
 import logging
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -76,7 +77,8 @@ def pin(
 ) -> dict[str, str]:
     """Set every control, read all of them back, and return those with another value, each with the reason.
 
-    `set_value` and `get_value` raise OSError (a USBError is one) or KeyError for a control that is not there.
+    `set_value` and `get_value` raise OSError (a USBError is one), or KeyError for a control that is not there;
+    `set_value` OverflowError or struct.error for a value that does not fit.
     """
     unset: dict[str, str] = {}
     for name in sorted(controls, key=lambda name: (NEW_NAMES.get(name, name) not in _AUTOMATICS, name)):
@@ -87,6 +89,8 @@ def pin(
             unset[name] = "this camera has no such control"
         except OSError as error:
             unset[name] = f"setting it to {value} failed: {error.strerror or error}"
+        except (OverflowError, struct.error) as error:
+            unset[name] = f"setting it to {value} failed: {error}"
     for name, value in controls.items():
         if name not in unset and (actual := _read_back(name, get_value)) != value:
             unset[name] = f"set to {value}, reads back {actual}"

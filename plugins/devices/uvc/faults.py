@@ -40,3 +40,5 @@ def guarded(who: str) -> Iterator[None]:
         raise kind(Sentence(f"{who}: {error.strerror or error} (errno {error.errno}): {advice}")) from error
     except NotImplementedError as error:
         raise DeviceLost(f"{who}: this USB library cannot do that here: {error}") from error
+    except ValueError as error:  # an answer that is too short, or makes no sense
+        raise DeviceLost(f"{who}: {error}; it is opened again") from error
