@@ -5,6 +5,7 @@ Ref: docs.luxonis.com, DepthAI v3: Camera, ReplayVideo, MessageQueue. Seen with 
 """
 
 import os
+from contextlib import suppress
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Final
@@ -16,6 +17,7 @@ from edge.core.errors import (
     DeviceLost,
     DeviceNotFound,
     DeviceStalled,
+    FrameCorrupt,
     RecordingEnded,
     RecordingError,
 )
@@ -103,7 +105,10 @@ class OakCamera:
             raise DeviceStalled(f"{self._name} gave no picture before the deadline")
         self._sequence += 1
         quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-        jpeg = cv2.imencode(".jpg", message.getCvFrame(), quality)[1].tobytes()
+        try:
+            jpeg = cv2.imencode(".jpg", message.getCvFrame(), quality)[1].tobytes()
+        except (RuntimeError, cv2.error) as error:
+            raise FrameCorrupt(f"{self._name}, frame {self._sequence - 1}: {error}") from error
         return CameraFrame(jpeg, self._clock.monotonic_ns(), self._sequence - 1)
 
     @property
@@ -113,7 +118,8 @@ class OakCamera:
     def close(self) -> None:
         self._gone = self._gone or DeviceLost(f"{self._name} was closed")
         self._queue.close()
-        self._pipeline.stop()
+        with suppress(RuntimeError):  # of a camera that is gone
+            self._pipeline.stop()
 
 
 class Oak(DevicePlugin[OakOptions]):
@@ -142,8 +148,8 @@ def _identity(serial: str, options: OakOptions) -> DeviceIdentity:
 
 
 def _camera(dai: Any, options: OakOptions, clock: Clock) -> OakCamera:
-    info = _choose(dai.Device.getAllAvailableDevices(), options.serial)
     try:
+        info = _choose(dai.Device.getAllAvailableDevices(), options.serial)
         device = dai.Device(info)
         pipeline = dai.Pipeline(device)
         camera = pipeline.create(dai.node.Camera).build(getattr(dai.CameraBoardSocket, options.socket))
@@ -152,7 +158,7 @@ def _camera(dai: Any, options: OakOptions, clock: Clock) -> OakCamera:
         pipeline.start()
     except RuntimeError as error:
         raise DeviceBusy(
-            f"OAK {info.deviceId} does not start ({error}); end other programs that use it, or plug it in again"
+            f"{PRODUCT} {options.serial or 'camera'} does not start ({error}); end other programs that use it, or plug it in again"
         ) from error
     return OakCamera(_identity(info.deviceId, options), pipeline, queue, clock, is_film=False)
 

@@ -21,6 +21,7 @@ from edge.core.errors import (
     DeviceLost,
     DeviceNotFound,
     DeviceStalled,
+    FrameCorrupt,
     RecordingEnded,
     RecordingError,
 )
@@ -232,3 +233,39 @@ def test_a_device_that_does_not_start_is_busy() -> None:
     with pytest.raises(DeviceBusy, match=r"OAK B does not start \(X_LINK_DEVICE_ALREADY_IN_USE"):
         _camera(dai, OakOptions(serial="B"), ManualClock())
     assert dai.opened == ["B"]
+
+
+def test_a_picture_that_cannot_be_read_is_broken_and_the_next_one_may_be_good() -> None:
+    """Any other error would end the gateway, and with it the inspection."""
+
+    def fail() -> None:
+        raise RuntimeError("ImgFrame data is smaller than its size")
+
+    good = SimpleNamespace(getCvFrame=lambda: np.zeros((8, 8, 3), np.uint8))
+    camera, _ = camera_with(SimpleNamespace(getCvFrame=fail), SimpleNamespace(getCvFrame=lambda: None), good)
+
+    for reason in ("smaller than its size", "frame 1"):
+        with pytest.raises(FrameCorrupt, match=reason):
+            camera.read(2_000_000_000)
+    assert camera.read(2_000_000_000).sequence == 2
+
+
+def test_a_camera_that_is_gone_may_fail_to_stop() -> None:
+    """It is opened again all the same."""
+
+    def fail() -> None:
+        raise RuntimeError("X_LINK_ERROR")
+
+    camera, queue = camera_with()
+    camera._pipeline.stop = fail
+    camera.close()
+    assert queue.is_closed
+
+
+def test_a_search_that_fails_is_tried_again() -> None:
+    def fail() -> None:
+        raise RuntimeError("cannot search for devices")
+
+    dai = SimpleNamespace(Device=SimpleNamespace(getAllAvailableDevices=fail))
+    with pytest.raises(DeviceBusy, match="cannot search for devices"):
+        _camera(dai, OakOptions(), ManualClock())
