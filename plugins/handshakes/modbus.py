@@ -15,7 +15,7 @@ import socket
 import struct
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from socketserver import BaseRequestHandler, ThreadingTCPServer
 from typing import Any, Final
 
@@ -53,8 +53,6 @@ _EXCEPTIONS: Final[Mapping[Code, int]] = {
     Code.NO_BEAT: _DEVICE_FAILURE,
 }
 _TRIGGER, _ACKNOWLEDGE, _WATCHDOG = range(len(COILS))
-# Functions that read the state of the station alone: they wait for no refusal that is being recorded.
-_OF_STATION: Final = (2, 4)
 _READ: Final = {1: "coils", 2: "discrete inputs", 3: "holding registers", 4: "input registers"}
 _HOLDING_COUNT: Final = sum(count for count, _ in HOLDING.values())
 
@@ -99,7 +97,7 @@ class _Registers:
         """Return the response to one request, both without their header. client: the connection."""
         function = request[0]
         try:
-            with nullcontext() if function in _OF_STATION else self._lock:
+            with self._lock:
                 if client is self._writer:
                     self._heard_ns = self._clock.monotonic_ns()
                 do = self._FUNCTIONS.get(function)

@@ -174,6 +174,7 @@ def test_a_trigger_selects_its_part(tmp_path: Path, configure: Make, bundle: Pat
     with PlcStation(configure(inspection=f'bundle_folder = "{tmp_path / "bundles"}"')) as station:
         station.play_until_ready()
         assert station.trigger(1, part="PZ2") is Code.UNKNOWN_PART
+        station.turn()
         refused = station.parts.store.acts(1)[0].sentence
         assert refused == "the part 'PZ2' has 2 positions here; name one of PZ2/pos1, PZ2/pos2"
         assert station.trigger(1, "piece 1", "PZ1") is Code.NONE
@@ -233,6 +234,7 @@ def test_what_is_refused_is_an_act_once(configure: Make) -> None:
             assert station.trigger(2) is Code.BUSY
         station.find(HandshakeStage).port.refuse("write", "a second client writes")
         assert station.find(HandshakeStage).port.read().refused is Code.BUSY
+        station.turn()
         acts = [act for act in station.parts.store.acts() if act.who == "plc"]
     assert [(act.verb, act.outcome, act.arguments.get("trigger_id")) for act in acts] == [
         ("write", "refused", None),
@@ -248,6 +250,7 @@ def test_what_is_refused_for_hours_is_an_act_a_minute(configure: Make) -> None:
     with PlcStation(configure()) as station:
         for _ in range(181):
             assert station.trigger(1, part="PZ9") is Code.UNKNOWN_PART
+            station.turn()
             station.clock.sleep(1)
         assert len([act for act in station.parts.store.acts() if act.who == "plc"]) == 4
 
@@ -271,7 +274,19 @@ def test_a_flood_of_refusals_fills_no_disk(configure: Make) -> None:
     with PlcStation(configure()) as station:
         for number in range(500):
             assert station.trigger(1, part=f"X{number}") is Code.UNKNOWN_PART
-        assert len(station.parts.store.acts(1000)) <= 61
+        station.turn()
+        assert 50 < len(station.parts.store.acts(1000)) <= 61
+
+
+def test_a_refusal_waits_for_the_database_and_the_plc_does_not(configure: Make) -> None:
+    """It would be silent for seconds, and what was refused meanwhile would be in no table."""
+    with PlcStation(configure()) as station:
+        with station.refusing("acts"):
+            assert station.trigger(1, part="PZ9") is Code.UNKNOWN_PART
+            station.turn()
+        station.turn()
+        (act,) = [act for act in station.parts.store.acts() if act.who == "plc"]
+    assert (act.verb, act.outcome, act.arguments["trigger_id"]) == ("trigger", "refused", 1)
 
 
 def test_a_watchdog_that_stands_still_is_an_alarm(configure: Make) -> None:

@@ -3,7 +3,6 @@
 import contextlib
 import socket
 import struct
-import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -251,29 +250,6 @@ def test_a_second_plc_may_read_and_not_write(served: Served) -> None:
     assert first.write(ACKNOWLEDGE, False) == 6
     second.close()
     assert first.write(ACKNOWLEDGE, False) == 0
-
-
-def test_reading_waits_for_no_refusal_that_is_being_recorded(
-    served: Served, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Another program may hold the database for seconds: who reads the state of the station sees it meanwhile."""
-    first, second = served.client(), served.client()
-    is_recording, may_end = threading.Event(), threading.Event()
-
-    def refuse_slowly(what: str, sentence: str) -> None:
-        is_recording.set()
-        may_end.wait(10)
-
-    monkeypatch.setattr(served.handshake, "refuse", refuse_slowly)
-    writing = threading.Thread(target=first.write, args=(TRIGGER, True))
-    writing.start()
-    try:
-        assert is_recording.wait(10)
-        assert second.words[ID : ID + 2] == [0, 0]
-        assert second.bits == {"ready", "not passed"}
-    finally:
-        may_end.set()
-        writing.join()
 
 
 def test_a_client_at_another_address_finds_no_trigger_of_the_one_before(served: Served) -> None:

@@ -2,12 +2,11 @@
 
 import logging
 import threading
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Final, final
 
-from edge.core.errors import StoreError
 from edge.core.handshake import Code, HandshakeMachine, HandshakeView, Refusal, Trigger, check_trigger
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
@@ -49,6 +48,7 @@ class Port:
         self._on_trigger = on_trigger
         self._lock = threading.Lock()
         self._rate, self._recent = Rate(PER_MINUTE, clock), OrderedDict[str, int]()
+        self._unrecorded: deque[Act] = deque(maxlen=PER_MINUTE)
 
     @contextmanager
     def machine(self) -> Iterator[tuple[HandshakeMachine, int]]:
@@ -103,7 +103,7 @@ class Port:
         )
 
     def _note(self, verb: str, sentence: str, arguments: Mapping[str, Any]) -> None:
-        """Record it once, and have it in the log."""
+        """Have it in the log, and in the table of acts with the next turn, once."""
         now_ns = self._clock.monotonic_ns()
         with self._lock:
             noted_ns = self._recent.get(sentence)
@@ -118,7 +118,11 @@ class Port:
         log.warning("the %s of the PLC was refused: %s", verb, sentence)
         time_ns = self._clock.time_ns()
         act = Act(time_ns, PLC, verb, arguments=arguments, outcome="refused", sentence=sentence)
-        try:
-            self._store.begin_act(act, 0)
-        except StoreError as error:
-            log.error("a refused %s of the PLC is not recorded: %s", verb, error)
+        self._unrecorded.append(act)
+
+    def record(self) -> None:
+        """Record what was refused since the last call, for the loop: no PLC waits for the database. Errors: StoreError;
+        then it goes on waiting."""
+        while self._unrecorded:
+            self._store.begin_act(self._unrecorded[0], 0)
+            self._unrecorded.popleft()

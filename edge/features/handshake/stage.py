@@ -192,10 +192,12 @@ class HandshakeStage(PressStage):
             machine.record(press.press_id, now_ns)
 
     def turn(self, mounted: Mounted | None) -> None:
+        """Take a trigger that waited for a lift, and record what was refused. Errors: StoreError."""
         self._has_contact = mounted is not None and mounted.has_contact
         if (early := self._early) is not None and not (self._has_contact or self._is_touched):
             self._early = None
             self._reach(*early)
+        self.port.record()
 
     def show(self, view: StationView) -> None:
         self._piece_id = view.piece_id
