@@ -164,10 +164,10 @@ def _chart_part(measure: Measure, chart: DriftChart, sums: Iterable[tuple[float,
 
 def _measure(press: Press, settled: PressSettled, inspector: Inspector) -> Mapping[str, float | None]:
     verdict, findings = press.verdict, settled.findings
-    score, threshold = (None, None) if verdict is None else (verdict.score, verdict.threshold)
+    score, threshold = (None, 0.0) if verdict is None else (verdict.score, verdict.threshold or 0.0)
     return {
         **vars(Imprint.of(settled, inspector.bundle.profile)),
-        "score_ratio": score / threshold if score is not None and threshold else None,
+        "score_ratio": score / threshold if score is not None and threshold > 0 else None,
         "light_levels": None if findings is None else _light(press, findings.free, inspector),
     }
 

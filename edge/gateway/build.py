@@ -248,7 +248,7 @@ def _list_earlier(store: Store, most: int) -> list[dict[str, Any]]:
     names = ("press_id", "sequence", "part", "position", "time_ns", "cause", "verdict", "score_ratio")
     query = (
         "SELECT press_id, number, part, position, time_ns, cause, nullif(verdict, 'error'), "
-        "score / nullif(threshold, 0) FROM presses ORDER BY number DESC LIMIT ?"
+        "CASE WHEN threshold > 0 THEN score / threshold END FROM presses ORDER BY number DESC LIMIT ?"
     )
     try:
         rows = store.read("reading the newest results", lambda it: it.execute(query, (most,)).fetchall())

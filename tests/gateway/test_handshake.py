@@ -16,6 +16,7 @@ from edge.core.errors import ConfigError
 from edge.core.handshake import Code, HandshakeView, Trigger
 from edge.features.handshake.stage import HandshakeStage
 from edge.features.reference_press import ReferenceGuard
+from edge.gateway.build import _list_earlier
 from edge.gateway.preflight import preflight
 from plugins.handshakes.modbus import ModbusServer
 
@@ -90,6 +91,18 @@ def test_each_trigger_is_answered_by_its_press(configure: Make) -> None:
         station.find(HandshakeStage).mount(worn)
         station.turn()
         assert station.seen.gel_left_percent == 0
+
+
+def test_at_a_threshold_below_zero_there_is_no_ratio(tmp_path: Path, configure: Make, bundle: Path) -> None:
+    """A PLC that reads it would take the worst press for the best; as in the result, and as on the page of a start."""
+    below = variant(bundle, tmp_path / "below", threshold={"value": -1.0})
+    with PlcStation(configure(inspection=below)) as station:
+        station.play_until_ready()
+        assert station.trigger(1) is Code.NONE
+        station.play_presses(1)
+        assert station.result == ("done", 1, "fail", Code.NONE)
+        assert (station.seen.score_ratio, station.results[0].score_ratio) == (None, None)
+        assert [one["score_ratio"] for one in _list_earlier(station.parts.store, 9)] == [None]
 
 
 def test_a_press_that_began_before_the_trigger_is_not_its_answer(configure: Make) -> None:

@@ -174,8 +174,8 @@ class HandshakeStage(PressStage):
             manifest, verdict = inspector.bundle.manifest, press.verdict
             part = str(PartPosition(manifest.part, manifest.position))
             piece = press.piece.piece_id if press.piece else None
-            limit = verdict.threshold if verdict else None
-            ratio = verdict.score / limit if verdict and verdict.score is not None and limit else None
+            score, limit = (verdict.score, verdict.threshold or 0.0) if verdict else (None, 0.0)
+            ratio = score / limit if score is not None and limit > 0 else None
             with self.port.machine() as (machine, now_ns):
                 word = press.shown or "place"
                 if machine.judge(press.press_id, word, now_ns, part=part, piece=piece, score_ratio=ratio):
