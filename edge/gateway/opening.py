@@ -235,8 +235,13 @@ def _bundles_in(folder: Path) -> Iterator[Path]:
         is_bundle = path.suffix == ".zip" or any(
             (path / name).exists() for name in (MANIFEST, TRUNK, HEAD, DETECTOR)
         )
-        if is_bundle and not path.name.startswith("."):
-            yield path
+        if not is_bundle or path.name.startswith("."):
+            continue
+        if path.name.encode(errors="ignore").decode() != path.name:  # it stands in messages and rows
+            raise ConfigError(
+                f"inspection.bundle_folder: the name {path.name!r} in {folder} is not UTF-8; rename this bundle"
+            )
+        yield path
 
 
 def _digest(path: Path, trust: Trust) -> str:

@@ -1,6 +1,7 @@
 """Several parts at one station: selected between two presses, changed while it runs, the last good bundles kept."""
 
 import math
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -425,6 +426,19 @@ def test_a_selection_that_fails_leads_to_no_part_that_a_reload_has_removed(
     station.play_presses(1)
 
     assert (selection.part, selection.selected) == (PZ0, PZ0)
+
+
+def test_a_bundle_whose_name_is_no_text_is_a_fault(
+    folder: Path, station: SteppedStation, bundle: Path
+) -> None:
+    """As one that was copied from a machine with names in Latin 1: it stands in no message and no row."""
+    station.play_presses(1)
+    shutil.copytree(bundle, folder / os.fsdecode(b"m\xfcller"))
+    station.reload()
+    assert station.alarm("bundle") == (
+        f"inspection.bundle_folder: the name 'm\\udcfcller' in {folder} is not UTF-8; rename this bundle"
+    )
+    station.play_presses(2)
 
 
 def test_a_bundle_whose_copy_goes_on_is_a_fault(folder: Path, config: Path) -> None:
