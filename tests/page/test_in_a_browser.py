@@ -187,6 +187,16 @@ def test_a_piece_is_no_pass_before_all_of_it_has_passed(tab: Any, sink: PageSink
     becomes("0 of 3", "none", piece((None, None, None), piece_id="0043"))
 
 
+def test_a_pass_of_one_place_is_none_where_the_piece_is_not_known(tab: Any, sink: PageSink) -> None:
+    """As where a broker's rules lack its topic, or while it is on its way: the others may be missing."""
+    for message in (state("ready"), *press(1, piece_id="0042", place="bolt/left")):
+        sink.send(message)
+
+    tab.wait_for_selector("#presses tr")
+    assert tab.inner_text("#verdict").lower() == "bolt/left"
+    assert tab.get_attribute("#verdict", "class") == "none"
+
+
 def test_a_hand_is_told_what_to_do_and_never_what_is_over(tab: Any, sink: PageSink) -> None:
     """The word and the way while it is said; a second later, and at a station that is not ready, nothing."""
 

@@ -121,7 +121,8 @@ function showAlarms(alarms, most) {
 const count = (piece) => t("{n} of {all}", { n: piece.places.filter((place) => place.verdict).length, all: piece.places.length });
 function large(press, piece) {
   if (piece && piece.piece_id !== null && press.piece_id && press.piece_id !== piece.piece_id) { return count(piece); }
-  if (!piece || word(press) !== "pass") { return word(press); }
+  if (word(press) !== "pass") { return word(press); }
+  if (!piece) { return press.place || "pass"; } // its message is on its way, or a broker refuses it
   if (piece.piece_id === null && piece.last_id !== null && piece.last_id === press.piece_id) { return piece.last_verdict; }
   return piece.places.some((place) => place.verdict === "fail") ? "fail" : count(piece);
 }

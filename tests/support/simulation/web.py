@@ -131,6 +131,8 @@ def large(shown: dict[str, Any]) -> tuple[str | None, str]:
     if word == "pass" and piece:
         is_over = piece["piece_id"] is None and piece["last_id"] is not None
         word = str(piece["last_verdict"]) if is_over and piece["last_id"] == last.get("piece_id") else "place"
+    elif word == "pass" and last.get("place"):
+        word = "place"
     state = (shown["state"] or {}).get("state")
     return last["press_id"], word if word != "pass" or state == "ready" else str(state)
 
