@@ -291,6 +291,14 @@ def test_a_flood_of_refusals_fills_no_disk(configure: Make) -> None:
         assert 50 < len(station.parts.store.acts(1000)) <= 61
 
 
+def test_a_refused_text_of_any_length_fills_no_disk(configure: Make) -> None:
+    """OPC UA sends strings of megabytes, and whoever reaches its port may."""
+    with PlcStation(configure()) as station:
+        assert station.trigger(1, "p" * 1_000_000, "n" * 1_000_000) is Code.BAD_VALUE
+        station.turn()
+        assert len(str(station.parts.store.acts(1)[0])) < 1000
+
+
 def test_a_refusal_waits_for_the_database_and_the_plc_does_not(configure: Make) -> None:
     """It would be silent for seconds, and what was refused meanwhile would be in no table."""
     with PlcStation(configure()) as station:

@@ -27,6 +27,8 @@ PLC: Final = "plc"
 SAME_S: Final = 60.0
 PER_MINUTE: Final = 60
 _MOST_REMEMBERED: Final = 64
+# Letters of a refused text that are recorded: OPC UA sends it in any length.
+_LONGEST_NOTED: Final = 64
 
 
 @final
@@ -68,7 +70,8 @@ class Port:
             else:
                 refusal = machine.trigger(trigger, now_ns, None if part is None else str(part))
         if refusal is not None:
-            self._note("trigger", refusal.sentence, vars(trigger))
+            texts = {"piece": trigger.piece[:_LONGEST_NOTED], "part": trigger.part[:_LONGEST_NOTED]}
+            self._note("trigger", refusal.sentence, {"trigger_id": trigger.trigger_id, **texts})
         elif not isinstance(part, Refusal):
             self._on_trigger(trigger, part)
         return refusal
