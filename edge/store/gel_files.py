@@ -6,6 +6,7 @@ They are no records: a damaged or missing one is learnt again, and no count depe
 import io
 import logging
 import os
+import tokenize
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +27,9 @@ Name = Literal["first", "last", "scars", "drift"]
 
 # Gels of one sensor whose files are kept, the newest ones; 1.5 MB each.
 KEPT_GELS: Final = 20
+
+# Of a damaged file: EOFError of an empty one; from MemoryError on, of a header, which numpy parses as Python text.
+_DAMAGED: Final = (OSError, EOFError, ValueError, MemoryError, RecursionError, TypeError, tokenize.TokenError)
 
 
 class GelFiles:
@@ -69,7 +73,7 @@ class GelFiles:
             return make(_read_array(path.read_bytes()))
         except FileNotFoundError:
             return None
-        except (OSError, EOFError, ValueError) as error:  # EOFError: an empty file after a power cut
+        except _DAMAGED as error:
             log.warning("%s of a gel cannot be used and is learnt again: %s", path, error)
             return None
 

@@ -25,11 +25,25 @@ def test_a_picture_comes_back(tmp_path: Path) -> None:
     assert folder.has_others("S1", "gel/2")
 
 
+def with_header(text: str) -> bytes:
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text.encode() + bytes(64)
+
+
 @pytest.mark.parametrize(
-    "content", [b"", b"not an array", b"\x93NUMPY\x01\x00", np.zeros((60, 80, 3), np.float32)]
+    "content",
+    [
+        b"",
+        b"not an array",
+        b"\x93NUMPY\x01\x00",
+        with_header("{'descr': '<f4', 'fortran_order': False, 'shape': (4, 4\n"),
+        with_header("{'descr': '<f4', b'fortran_order': False, 'shape': (4, 4)}\n"),
+        with_header("{'descr': '<f4', 'fortran_order': False, 'shape': (1000000, 1000000)}\n"),
+        np.zeros((60, 80, 3), np.float32),
+    ],
 )
 def test_a_picture_damaged_or_of_another_size_is_none(tmp_path: Path, content: bytes | np.ndarray) -> None:
-    """A power failure leaves an empty file; compared with today's, another size would end the gateway."""
+    """A power failure leaves an empty file, a worn disk a header that is none; compared with today's, another size
+    would end the gateway."""
     path = tmp_path / "S1" / "g.last.npy"
     path.parent.mkdir()
     if isinstance(content, bytes):
