@@ -30,6 +30,10 @@ GelgateError
 class GelgateError(Exception):
     """Anything that gelgate refuses: one sentence with the thing, what was found, what was expected, what to do."""
 
+    def __str__(self) -> str:
+        """Return the sentence, which messages and rows can hold: a file's name may be no UTF-8."""
+        return super().__str__().encode(errors="backslashreplace").decode()
+
 
 class ConfigError(GelgateError):
     """The configuration is wrong; the message lists every fault found, not the first one."""

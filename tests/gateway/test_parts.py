@@ -18,6 +18,7 @@ from edge.core.part_position import PartPosition
 from edge.gateway.opening import BundleOpener, Opened
 from edge.model.archive import open_archive
 from edge.model.session import TrunkSessions
+from edge.model.signing import new_key
 from edge.store.bundles_in_use import read_selected
 from edge.store.press_store import Store
 
@@ -439,6 +440,21 @@ def test_a_bundle_whose_name_is_no_text_is_a_fault(
         f"inspection.bundle_folder: the name 'm\\udcfcller' in {folder} is not UTF-8; rename this bundle"
     )
     station.play_presses(2)
+
+
+def test_a_key_whose_name_is_no_text_can_be_named(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """What refuses it becomes an alarm and an act, and ends no station."""
+    pytest.importorskip("cryptography", reason="signatures need the extra `signing`")
+    keys = tmp_path / "keys"
+    keys.mkdir()
+    new_key(keys / "line4")
+    table = f'bundle = "{bundle}"\ntrusted_keys = "{keys}"'
+    with SteppedStation(station_config(tmp_path / "station", recording, table)) as station:
+        station.play_presses(1)
+        (keys / os.fsdecode(b"m\xfcller.pub")).write_text("no key")
+        station.reload()
+        assert rf"{keys}/m\udcfcller.pub" in str(station.alarm("bundle"))
+        station.play_presses(2)
 
 
 def test_a_bundle_whose_copy_goes_on_is_a_fault(folder: Path, config: Path) -> None:
