@@ -7,7 +7,15 @@ from pathlib import Path
 
 from edge.core.errors import ConfigError, GelgateError, StoreError
 
-__all__ = ["claim", "is_empty", "make_folder", "require_folder", "write_atomically", "write_whole"]
+__all__ = [
+    "claim",
+    "is_empty",
+    "make_folder",
+    "read_stamp",
+    "require_folder",
+    "write_atomically",
+    "write_whole",
+]
 
 # Longer values are named, not printed.
 _MOST_PRINTED = 40

@@ -156,9 +156,7 @@ _PASSED_ON = ("part", "position", "profile", "region", "method", "backbone")
 
 def fit_command(folder: Path, plan: AcquireArguments, standing: Standing) -> str:
     """Return the command line that fits the acquired presses."""
-    words = ["gelgate", "fit", str(folder / "presses"), "-o", f"{plan.part}.bundle"]
-    if any((folder / "free").iterdir()):
-        words += ["--no-contact", str(folder / "free")]
+    words = ["gelgate", "fit", str(folder), "-o", f"{plan.part}.bundle"]
     for name in _PASSED_ON:
         words += [f"--{name}", str(getattr(plan, name))]
     words += ["--alpha", f"{alpha(standing):g}"] + ["--resize"] * plan.resize
@@ -168,9 +166,8 @@ def fit_command(folder: Path, plan: AcquireArguments, standing: Standing) -> str
 def fit_now(folder: Path, plan: AcquireArguments, standing: Standing, output: Path) -> None:
     """Fit the acquired presses and print the summary. Errors: as `gelgate fit`."""
     fit(
-        sources=[folder / "presses"],
+        sources=[folder],
         output=output,
         alpha=alpha(standing),
-        no_contact=[folder / "free"] if any((folder / "free").iterdir()) else None,
         **{name: getattr(plan, name) for name in (*_PASSED_ON, "resize", "threads")},
     )

@@ -6,7 +6,7 @@
     signals.jsonl      what was printed after each press, and the name of its piece where the source has one
     coverage.png       where presses still show something new
 
-`gelgate fit FOLDER/presses --no-contact FOLDER/free` learns from it. A press is known by its bytes: a source that is
+`gelgate fit FOLDER` learns from it. A press is known by its bytes: a source that is
 read again after an interruption gives the same presses, and they are not taken twice.
 """
 
@@ -25,6 +25,7 @@ from pathlib import Path
 from weakref import finalize
 
 from calibration.dataset.press import numbered
+from calibration.fitting.presses.sources import ACQUISITION
 from calibration.folders import claim, write_whole
 from edge.core.errors import ConfigError, StoreError
 from edge.core.imaging.image_bytes import kind
@@ -34,7 +35,7 @@ __all__ = ["AcquisitionFolder", "KeptPress", "Keys", "Pieces"]
 MOST_FREE = 16
 """Pictures of the free gel that are kept: the detectors need only its mean and its noise."""
 
-_ABOUT, _VERSION = "acquisition.json", 1
+_VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class AcquisitionFolder:
     def __init__(self, root: Path, about: Mapping[str, str]) -> None:
         self.root, self.about = root, about
         self.close = finalize(self, _hold(root).close)
-        claim(root, _ABOUT, {"version": _VERSION, **about}, "acquisition", ConfigError)
+        claim(root, ACQUISITION, {"version": _VERSION, **about}, "acquisition", ConfigError)
         try:
             for part in ("presses", "free"):
                 (root / part).mkdir(exist_ok=True)

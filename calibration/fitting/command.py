@@ -34,11 +34,12 @@ from calibration.fitting.options import (
     under_set,
 )
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
+from calibration.folders import read_stamp
 from calibration.progress import Stages
 from edge import registry
 from edge.cli.arguments import add_argument, add_option, flatten, parse_values
 from edge.core.errors import BundleError, ConfigError, FitError
-from edge.core.imaging.known_profiles import profile
+from edge.core.imaging.known_profiles import PROFILES, profile
 from edge.core.printable import write_count
 from edge.core.suggest import suggestion
 from edge.model.archive import MANIFEST, ZipArchive, open_archive
@@ -312,18 +313,24 @@ def next_revision(output: Path) -> int:
 
 
 def choose_profile(name: str, sources: list[Path]) -> "SensorProfile":
-    """Return the requested profile, or the one that all recordings among the sources name."""
+    """Return the requested profile, or the one that all recordings and acquisitions among the sources name, or the one
+    for frames of a recording's size."""
     from calibration.fitting.presses.nominal_presses import is_recording
+    from calibration.fitting.presses.sources import ACQUISITION
     from edge.recording.format import Recording
 
     if name:
         return profile(name)
-    named = {Recording.open(s).header.profile for s in sources if is_recording(s)} - {""}
-    if len(named) > 1:
+    headers = [Recording.open(source).header for source in sources if is_recording(source)]
+    stamps = [read_stamp(source / ACQUISITION) or {} for source in sources]
+    named = {header.profile for header in headers} | {str(stamp.get("profile", "")) for stamp in stamps}
+    if len(named := named - {""}) > 1:
         raise ConfigError(
             f"the recordings name different profiles: {', '.join(sorted(named))}; choose with --profile"
         )
-    return profile(named.pop() if named else "mini_lr")
+    sizes = {header.mode for header in headers}
+    fitting = next((known.name for known in PROFILES.values() if known.native in sizes), "mini_lr")
+    return profile(named.pop() if named else fitting)
 
 
 def summarise(fitted: "Fitted", output: Path) -> None:

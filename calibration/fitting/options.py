@@ -45,7 +45,9 @@ Position = Annotated[
         help="Where on the part; default: the dataset's only one, else 'default'.", show_default=False
     ),
 ]
-Profile = Annotated[str, typer.Option(help="Sensor profile; default: the recording's, else mini_lr.")]
+Profile = Annotated[
+    str, typer.Option(help="Sensor profile; default: the recording's, or that of its size, else mini_lr.")
+]
 RegionText = Annotated[str, typer.Option(help="'centre', 'full', or x,y,WIDTHxHEIGHT.")]
 GelId = Annotated[
     str | None,

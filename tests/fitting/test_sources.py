@@ -7,8 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from small_recordings import write_recording
 
 from calibration.dataset import open_dataset
+from calibration.fitting.command import choose_profile
 from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.fitting.presses.sources import Sources, find_sources
 from edge.core.errors import ConfigError, DatasetError
@@ -153,3 +155,28 @@ def test_fit_and_evaluate_see_the_same_pixels(tmp_path: Path, suffix: str) -> No
 
     assert scored.size == PROFILE.size
     assert (REGION.crop(scored.rgb()) == learnt).all()
+
+
+def test_the_folder_of_an_acquisition_is_read_with_its_free_gel(tmp_path: Path) -> None:
+    """`gelgate bundle learn` and the others take the folder that `gelgate new-part` keeps, beside its coverage.png."""
+    picture(tmp_path / "coverage.png", 9)
+    for number in range(3):
+        picture(tmp_path / "free" / f"free_{number}.png", 90)
+        picture(tmp_path / "presses" / f"bolt-default_s00{number}_p01.png", 100 + 20 * number)
+    (tmp_path / "acquisition.json").write_text('{"version": 1, "profile": "cropped_lr"}')
+
+    presses = read_presses([tmp_path], PROFILE, REGION)
+
+    assert presses.names == tuple(f"presses/bolt-default_s00{number}_p01.png" for number in range(3))
+    assert not presses.estimated
+    assert presses.no_contact is not None
+    assert set(presses.no_contact.ravel().tolist()) == {90}
+    assert choose_profile("", [tmp_path]).name == "cropped_lr"
+
+
+@pytest.mark.parametrize(("size", "profile_name"), [((320, 240), "cropped_lr"), ((64, 48), "mini_lr")])
+def test_a_recording_that_names_no_profile_has_that_of_its_frames(
+    tmp_path: Path, size: tuple[int, int], profile_name: str
+) -> None:
+    """As `gelgate record` counts its presses; mini_lr where none is of this size."""
+    assert choose_profile("", [write_recording(tmp_path / "take", 2, size=size)]).name == profile_name

@@ -17,7 +17,7 @@ from calibration.dataset.press import numbered
 from calibration.fitting.presses.free_gel import measure_strengths, view_of
 from calibration.fitting.presses.gel_choice import MIN_PRESSES, choose_free_gel, contact_finder
 from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
-from calibration.fitting.presses.sources import list_pictures, name_apart, name_unread
+from calibration.fitting.presses.sources import is_acquisition, list_pictures, name_apart, name_unread
 from calibration.fitting.presses.strangers import find_odd, find_pieces, merge_copies, small_view
 from edge.core.arrays import U8, Mask
 from edge.core.contact.mask import Touch, touched
@@ -216,12 +216,14 @@ def read_presses(
 
     A picture has the camera's size (it is cut and scaled as the profile says) or the profile's own; resize allows any
     other, cut to the profile's aspect. pattern: which files of a folder, those below it too; None: those directly
-    inside. no_contact: pictures, or folders of them, of the free gel. specimens: of pictures, where their names do not
-    have it. leave_out: names of presses to leave out, as a bundle lists them. Errors: RecordingError, DatasetError
-    listing every faulty picture, FitError when there is no press, or no press of a name to leave out.
+    inside. no_contact: pictures, or folders of them, of the free gel; None: those of acquisitions. specimens: of
+    pictures, where their names do not have it. leave_out: names of presses to leave out, as a bundle lists them.
+    Errors: RecordingError, DatasetError listing every faulty picture, FitError when there is no press, or no press of a
+    name to leave out.
     """
     gathered = _Gathered(profile, region, unwanted=frozenset(leave_out or ()))
-    free_files = list_pictures(no_contact or ())
+    acquired = [source / "free" for source in sources if is_acquisition(source)]
+    free_files = list_pictures(no_contact or [folder for folder in acquired if any(folder.iterdir())])
     free = _pictures(free_files, profile, resize)
     recordings = [source for source in sources if is_recording(source)]
     for source, name in zip(recordings, name_apart(recordings, 1), strict=True):

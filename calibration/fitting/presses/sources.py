@@ -20,12 +20,14 @@ from edge.recording.format import FRAMES, HEADER
 from edge.recording.from_images import images_in
 
 __all__ = [
+    "ACQUISITION",
     "DEFAULT_POSITION",
     "Sources",
     "check_name",
     "check_present",
     "choose_position",
     "find_sources",
+    "is_acquisition",
     "is_dataset",
     "list_pictures",
     "name_apart",
@@ -33,6 +35,9 @@ __all__ = [
 ]
 
 DEFAULT_POSITION = "default"
+
+ACQUISITION = "acquisition.json"
+"""In a folder of `gelgate bundle acquire`, beside its folders `presses` and `free`."""
 
 # Files that a person takes for pictures too.
 _UNREAD_SUFFIXES = (".webp", ".gif", ".heic", ".heif", ".avif", ".jp2", ".npy", ".raw")
@@ -68,6 +73,11 @@ def check_name(option: str, name: str) -> None:
 def is_dataset(source: Path) -> bool:
     """Tell whether a source is a folder in the layout of a dataset, so that it knows parts and positions itself."""
     return source.is_dir() and layout_of(source) is not None
+
+
+def is_acquisition(source: Path) -> bool:
+    """Tell whether a source is a folder that `gelgate bundle acquire` or `gelgate new-part` has filled."""
+    return (source / ACQUISITION).is_file()
 
 
 def check_present(sources: Sequence[Path]) -> None:
@@ -145,7 +155,8 @@ def list_pictures(sources: Sequence[Path], pattern: str | None = None) -> list[P
     """List picture files, and those directly inside folders (or that match the pattern), in order of their names."""
     check_present(sources)
     files: list[Path] = []
-    for source in sources:
+    for given in sources:
+        source = given / "presses" if is_acquisition(given) else given
         if source.is_dir() and pattern is not None:
             files += images_in(source, pattern)
         elif source.is_dir():
