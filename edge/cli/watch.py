@@ -3,7 +3,7 @@
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
@@ -14,6 +14,9 @@ from edge.messaging.subscriber import broker_at, describe, receive, station_filt
 from edge.messaging.subscriber import watch as listen
 
 __all__ = ["watch"]
+
+# A picture comes some milliseconds after its result, and may come after the next one; so many do not wait for that.
+_SOON: Final = 8
 
 
 def watch(
@@ -63,14 +66,18 @@ def _watch(
     *,
     as_json: bool,
 ) -> None:
-    results = heatmaps = 0
+    results = heatmaps = missing = 0
     for seen in listen(broker, topics, save, count, timeout, _tell):
         if seen.kind == "result":
             results += 1
             line = json.dumps(seen.content) if as_json else printable(describe(seen.content, seen.station))
             print(line, flush=True)
+            missing += save is not None and bool(seen.content.get("heatmap_topic"))
+            if missing == _SOON:
+                _tell_missing(missing)
         elif seen.kind == "heatmap":
             heatmaps += seen.content["path"] is not None
+            missing = max(0, missing - 1)
         elif seen.kind == "state":
             _tell(
                 f"{seen.station} is {seen.content.get('state', '?')} {seen.content.get('reason') or ''}".rstrip()
@@ -79,9 +86,18 @@ def _watch(
             _tell(f"{seen.station} alarm {seen.content.get('alarm', '?')}: {seen.content.get('text', '')}")
     if heatmaps:
         _tell(f"{heatmaps} heatmap(s) saved in {save}")
+    if missing:
+        _tell_missing(missing)
     if count is not None and results < count:
         _tell(f"{results} verdict(s) arrived in {timeout:g} s, expected {count}; check that the gateway runs")
         raise typer.Exit(1)
+
+
+def _tell_missing(number: int) -> None:
+    """Say that pictures did not come after their results: a broker that denies a topic says nothing."""
+    _tell(
+        f"{write_count(number, 'heatmap')} did not come; the broker's rules must let this user read heatmap/+"
+    )
 
 
 def _validate(broker: Broker, topics: str, count: int | None, timeout: float | None) -> None:

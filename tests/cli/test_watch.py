@@ -20,7 +20,7 @@ from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
-from edge.messaging.subscriber import describe, station_filter, watch
+from edge.messaging.subscriber import Seen, describe, station_filter, watch
 
 ROOT = "gelgate/plant/line1/press2/gel/v1"
 IDS = [f"01ARZ3NDEKTSV4RRFFQ69G5FA{letter}" for letter in "ABCDEF"]
@@ -276,6 +276,29 @@ def test_too_few_verdicts_in_time_fail(broker: LocalBroker, capsys: pytest.Captu
     assert f", topics {station_filter('gelgate')}" in said
     assert "no station is heard; check the names" in said
     assert "0 verdict(s) arrived in 0.2 s, expected 3" in said
+
+
+def test_pictures_that_a_broker_denies_are_told(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Once some are missing, and at the end; an empty one has come."""
+    came = [*range(12), "heatmap", *range(3)]
+    heard = [
+        Seen("heatmap", "press2", {"press_id": IDS[0], "path": None})
+        if what == "heatmap"
+        else Seen("result", "press2", json.loads(result(0, sequence=what)))
+        for what in came
+    ]
+    monkeypatch.setattr("edge.cli.watch.listen", lambda *_: iter(heard))
+
+    watch_command(save=tmp_path)
+    watch_command()
+
+    said = [line for line in capsys.readouterr().err.splitlines() if "did not come" in line]
+    assert said == [
+        f"gelgate: {number} heatmaps did not come; the broker's rules must let this user read heatmap/+"
+        for number in (8, 14)
+    ]
 
 
 def validated(broker: LocalBroker, count: int, *messages: tuple[str, bytes]) -> None:
