@@ -72,7 +72,7 @@ def test_a_region_is_drawn_over_the_last_press(
     written down. With a mouse: a stricter one is answered with the command that can, and what is drawn stays; a region
     is removed."""
     gateway, ports, mine = running
-    tab = browser.new_page(viewport={"width": 1000, "height": 1100}, has_touch=by == "finger")
+    tab = browser.new_page(viewport={"width": 1000, "height": 900}, has_touch=by == "finger")
     tab.set_default_timeout(BROWSER_MS)
     wrong: list[str] = []
     tab.on("console", lambda message: wrong.append(message.text))
@@ -96,6 +96,8 @@ def test_a_region_is_drawn_over_the_last_press(
             return [at(view.x, view.y), at(view.x + view.width, view.y + view.height)]; }"""
         )
         (left, top), (right, bottom) = box
+        beside = f"document.elementFromPoint({right + 10}, {(top + bottom) / 2}).tagName"
+        assert tab.evaluate(beside) == "svg"  # nothing of the scores beside the press
         for x, y in CORNERS_MM:
             place = left + (right - left) * x / 14.204, top + (bottom - top) * y / 14.204
             if by == "mouse":

@@ -227,7 +227,10 @@ function startDrawing() {
 
 function showDrawing(picture) {
   const about = { href: picture.src, width: picture.naturalWidth, height: picture.naturalHeight };
-  at("sheet").replaceChildren(shape("image", about), shape("polygon", { points: "" }));
+  const { wide: width, high: height } = drawing; // the picture's other panels and its head are cut off
+  const panel = shape("svg", { y: HEAD_PX, width, height, viewBox: `0 ${HEAD_PX} ${width} ${height}` });
+  panel.append(shape("image", about));
+  at("sheet").replaceChildren(panel, shape("polygon", { points: "" }));
   showCorners();
 }
 
