@@ -73,6 +73,8 @@ def record(given: RecordArguments) -> None:
         raise ConfigError(
             "name one of --device, --from-video and --from-images; `gelgate devices` lists the devices"
         )
+    if given.profile:
+        named(given.profile)  # an unknown one is refused before the work
     if given.device is not None:
         done = _from_device(given, given.device)
     elif given.from_video is not None:
@@ -81,7 +83,8 @@ def record(given: RecordArguments) -> None:
         assert given.from_images is not None
         done = _from_images(given, given.from_images)
     typer.echo(done)
-    _say_presses(given.out, given.profile)
+    is_free_shown = given.from_images is None or given.reference is not None
+    _say_presses(given.out, given.profile, is_free_shown)
 
 
 def _from_images(given: RecordArguments, folder: Path) -> str:
@@ -140,7 +143,7 @@ def _from_video(given: RecordArguments, path: Path) -> str:
     return f"{given.out}: {write_count(count, 'frame')} of {path.name}{scaled}{missing}"
 
 
-def _say_presses(out: Path, name: str) -> None:
+def _say_presses(out: Path, name: str, is_free_shown: bool) -> None:
     """Print what the gateway would find, with this profile or one for frames of this size."""
     recording = Recording.open(out)
     mode, profile = recording.header.mode, find_profile(recording, name)
@@ -154,6 +157,10 @@ def _say_presses(out: Path, name: str) -> None:
         typer.echo("presses in it are not counted")
         return
     typer.echo(f"seen in it: {summary}")
+    if not is_free_shown:
+        doubts.append(
+            "between the presses no free gel is shown, so they may not be found; give its picture with --reference"
+        )
     for doubt in doubts:
         typer.echo(f"warning: {doubt}", err=True)
 

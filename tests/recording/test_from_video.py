@@ -117,6 +117,21 @@ def test_a_reference_of_another_light_is_named(tmp_path: Path) -> None:
     assert "most likely of another light" in said
 
 
+def test_pictures_without_a_free_gel_are_not_all_found(tmp_path: Path) -> None:
+    """No press is seen where nothing is shown between them: what to give is said. An unknown profile is refused."""
+    (tmp_path / "presses").mkdir()
+    for k in range(3):
+        cv2.imwrite(str(tmp_path / "presses" / f"{k}.png"), gel(1.0, (320, 240), k))
+    images = ("--from-images", tmp_path / "presses")
+    said = ran("record", tmp_path / "out", *images)
+    assert "seen in it: 0 presses" in said
+    assert "give its picture with --reference" in said
+
+    refused = gelgate("record", tmp_path / "other", *images, "--profile", "cropped")
+    assert "no sensor profile is named 'cropped'" in refused.sentence()
+    assert not (tmp_path / "other").exists()
+
+
 def test_a_black_picture_is_not_recorded(tmp_path: Path) -> None:
     """It is named, with its level."""
     cv2.imwrite(str(tmp_path / "a.png"), gel(1.0, (320, 240), 1))
