@@ -68,7 +68,9 @@ def backup(
     path = database_path(config, database)
     refuse_left_journal(path)
     if keep is not None and not target.is_dir():
-        raise ConfigError(f"--keep removes older backups in a folder, and {target} is none; name a folder")
+        raise ConfigError(
+            f"--keep removes older backups in a folder, and {target} is none; make it, or name another"
+        )
     made = back_up(path, target)
     typer.echo(f"{made}: {made.stat().st_size:,} bytes")
     for old in (*backups_in(target, path)[:-keep], *find_leftovers(target, path)) if keep else ():

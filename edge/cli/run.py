@@ -152,7 +152,7 @@ def check(
         typer.echo(f"{'ok    ' if finding.error is None else 'FAULT '} {finding.part}: {finding.text}")
     errors: list[GelgateError] = [finding.error for finding in findings if finding.error is not None]
     if errors:
-        raise type(errors[0])(f"{len(errors)} of {len(findings)} parts cannot be used; see above")
+        raise type(errors[0])(f"{len(errors)} of {len(findings)} checks failed; see above")
 
 
 def example() -> str:

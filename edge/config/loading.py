@@ -151,7 +151,8 @@ def read_secret(path: Path, key: str, shortest: int) -> bytes:
         rights = path.stat().st_mode
     except OSError as error:
         raise ConfigError(
-            f"{key}: {path} cannot be read ({error.strerror}); make one with `head -c 32 /dev/urandom | base64`"
+            f"{key}: {path} cannot be read ({error.strerror}); make one with "
+            f"`head -c 32 /dev/urandom | base64 > {path}; chmod 0640 {path}`"
         ) from error
     if rights & 0o007:
         raise ConfigError(f"{key}: {path} is open to every user; set its rights to 0640")

@@ -201,7 +201,7 @@ def test_check_tells_every_fault_at_once(bench: Bench) -> None:
         *("FAULT  bundle", "FAULT  sensor", "FAULT  database", "ok     commands", "ok     pictures"),
         "FAULT  sink mqtt",
     ]
-    assert ended.sentence() == "4 of 6 parts cannot be used; see above"
+    assert ended.sentence() == "4 of 6 checks failed; see above"
 
 
 @pytest.mark.usefixtures("no_such_host")

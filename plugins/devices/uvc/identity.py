@@ -65,7 +65,8 @@ def choose(seen: list[SensorOnBus], serial: str | None) -> SensorOnBus:
         return chosen[0]
     if len(chosen) > 1:
         raise DeviceNotFound(
-            f"{len(chosen)} sensors are plugged in ({', '.join(map(_serial, chosen))}); name one by its serial"
+            f"{len(chosen)} sensors are plugged in ({', '.join(map(_serial, chosen))}); name one by its serial, "
+            "the device's option `serial`"
         )
     wanted = Sentence(f"no GelSight Mini with serial {serial}") if serial else Sentence("no GelSight Mini")
     others = [f"{_serial(sensor)} at {sensor.discovered.place}" for sensor in sensors]
