@@ -16,6 +16,7 @@ import numpy as np
 
 from calibration.fitting.carry import MOST_CHANGE
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.progress import Report
 from edge.clock import SystemClock
 from edge.core.arrays import Mask
 from edge.core.errors import ArchiveError, FitError, NotScorable, PoseNotFound
@@ -371,16 +372,17 @@ class Comparison:
 
 
 def judge_presses(
-    bundle: Bundle, presses: ConfirmedPresses, database: Path, threads: int
+    bundle: Bundle, presses: ConfirmedPresses, database: Path, threads: int, report: Report
 ) -> dict[str, Press]:
     """Judge them again, by their ids, as a replay does. Errors: ArchiveError, BundleError."""
     archive, judged = ArchiveFolder(database.with_suffix(".archive")), dict[str, Press]()
     inspector = Inspector(Scorer(bundle, threads), SystemClock())
-    for confirmed_press in (*presses.good, *presses.damaged):
-        judged[confirmed_press.press.press_id] = judge_as_then(
-            confirmed_press.press, archive, inspector
-        ).drop_pictures()
-    for press in presses.others:
-        with suppress(ArchiveError):  # a running station removes the oldest ones meanwhile
+    kept = [one.press for one in (*presses.good, *presses.damaged)]
+    every = [*kept, *presses.others]
+    for k, press in enumerate(every):
+        report("archived presses", k / len(every))
+        # A running station removes the oldest of the others meanwhile.
+        with suppress(*() if k < len(kept) else (ArchiveError,)):
             judged[press.press_id] = judge_as_then(press, archive, inspector).drop_pictures()
+    report("archived presses", 1.0)
     return judged

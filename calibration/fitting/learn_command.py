@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import typer
 
@@ -44,7 +44,11 @@ from edge.model.scorer import Scorer
 from edge.store.person_verdicts import ask_again
 from edge.store.press_store import Store
 
-__all__ = ["learn", "warn_of_lost"]
+__all__ = ["WAY_ON", "learn", "warn_of_lost"]
+
+WAY_ON: Final = (
+    "next: name it under `shadows` in [inspection], and reload; it is scored beside the one in use"
+)
 
 # Of 48 rendered damages two fits of the same part find some more or fewer by chance.
 _FEWER = 0.9
@@ -102,15 +106,18 @@ def learn(given: LearnArguments) -> None:
 
     # Of a gel on which the bundle is not proven the first presses all stand apart, and have to be learnt.
     doubtful = [k for k in learnt if Path(presses.names[k]).stem not in confirmed.on_new_gel]
-    before = judge_presses(old, confirmed, database, given.threads)
-
-    def compare(fitted: Fitted) -> Comparison:
-        after = judge_presses(fitted.bundle(), confirmed, database, given.threads)
-        comparison = Comparison(confirmed, before, after)
-        typer.echo(f"{comparison.describe()}; {comparison.changes()}")
-        return comparison
 
     def fit_and_check(created: str, report: Report) -> Fitted:
+        judge = partial(
+            judge_presses, presses=confirmed, database=database, threads=given.threads, report=report
+        )
+        before = judge(old)
+
+        def compare(fitted: Fitted) -> Comparison:
+            comparison = Comparison(confirmed, before, judge(fitted.bundle()))
+            typer.echo(f"{comparison.describe()}; {comparison.changes()}")
+            return comparison
+
         fitted, kept = fit_files(presses, config, created=created, report=report), presses
         apart = [k for k in doubtful if presses.names[k] in fitted.apart]
         if apart and _finds_fewer(old.manifest.facts, fitted.manifest.facts):
@@ -130,6 +137,7 @@ def learn(given: LearnArguments) -> None:
         return fitted
 
     make(fit_and_check, given.output, given.overwrite)
+    typer.echo(WAY_ON)
 
 
 def _teach_lost(

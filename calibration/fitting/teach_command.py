@@ -20,7 +20,7 @@ from calibration.fitting.learn import (
     read_confirmed,
     write_picture,
 )
-from calibration.fitting.learn_command import warn_of_lost
+from calibration.fitting.learn_command import WAY_ON, warn_of_lost
 from calibration.fitting.options import LeaveOut, NoContact, Overwrite, Threads
 from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.fitting.regions.drawing import draw_again
@@ -34,6 +34,7 @@ from calibration.fitting.teach import (
     why_not,
 )
 from calibration.fitting.trunks import open_trunk
+from calibration.progress import Stages
 from edge import registry
 from edge.cli.arguments import add_argument, add_option, flatten
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
@@ -129,6 +130,7 @@ def teach(given: TeachArguments) -> None:
     assert given.output is not None
     taken.fitted.write(given.output, overwrite=given.overwrite)
     summarise(taken.fitted, given.output)
+    typer.echo(WAY_ON)
 
 
 def _find_database(given: TeachArguments) -> Path | None:
@@ -212,7 +214,8 @@ def _fit_method(lesson: Lesson, name: str) -> Fitted:
     detector, config = registry.detector(name), lesson.config
     trunk = open_trunk(config.trunk.id, detector.taps(detector.parameters(config.mode)))
     config = replace(config, detector=detector, trunk=trunk, overrides={})
-    fitted = fit_files(lesson.nominal, config, created=lesson.created)
+    with Stages() as report:
+        fitted = fit_files(lesson.nominal, config, created=lesson.created, report=report)
     return draw_again(lesson.old, fitted, lesson.nominal, config, lesson.created)
 
 
@@ -233,7 +236,10 @@ def _describe(lesson: Lesson, remedies: Mapping[str, Remedy]) -> None:
 def _judge(
     bundle: Bundle, confirmed: ConfirmedPresses, database: Path | None, threads: int
 ) -> dict[str, Press]:
-    return {} if database is None else judge_presses(bundle, confirmed, database, threads)
+    if database is None:
+        return {}
+    with Stages() as report:
+        return judge_presses(bundle, confirmed, database, threads, report)
 
 
 def _compare(

@@ -59,6 +59,8 @@ def test_what_is_called_good_is_learnt_and_what_is_called_damaged_is_still_found
     assert done.code == 0, done.err
     assert "people said of bolt/default: 1 cannot_tell, 1 damaged, 1 gel, 2 good\n" in done.out
     assert "10 nominal presses, 2 of them from the station\n" in done.out
+    assert "\nnext: name it under `shadows` in [inspection], and reload" in done.out
+    assert "archived presses: done" in done.err
     assert (
         "of 1 presses that people call damaged 1 do not pass the old bundle and 1 do not pass the new one; of 2 that "
         "they call good 0 and 0; 0 of 3 other archived presses change\n" in done.out

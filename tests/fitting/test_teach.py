@@ -321,6 +321,7 @@ def test_where_nothing_finds_it_the_nearest_sound_press_is_the_reason(station: J
         rf"{station.ids[taught]} scores 0.\d+ of the limit at .* and the sound press \S+ 0.\d+", reason
     )
     assert ": every sound press would fail" in done.out
+    assert "archived presses: done" in done.err
 
 
 def test_a_remedy_that_fails_what_people_call_good_is_not_written(station: Judged) -> None:

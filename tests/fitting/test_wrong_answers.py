@@ -63,7 +63,7 @@ def operation(inspected: Judged, tmp_path_factory: pytest.TempPathFactory) -> Op
     for factor in FACTORS:
         changed = {"value": factor * limit.value}
         bundle = Bundle.load(variant(old, station.folder / f"limit {factor}", threshold=changed))
-        judged[factor] = judge_presses(bundle, presses, database, 1)
+        judged[factor] = judge_presses(bundle, presses, database, 1, lambda *_: None)
     assert [judged[1.5][inspected.ids[number]].word for number in DENTED] == ["pass", "pass"]
     return Operation(database, inspected.ids, Bundle.load(old).digest, judged)
 
