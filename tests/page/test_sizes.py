@@ -4,6 +4,7 @@ from typing import Any
 
 from chromium import open_tab, wait_until
 from page_messages import PICTURE, T0_NS, drift, gel, info, press, state, stats
+from page_pictures import TOKEN, Scene, served
 
 from edge.core.gel_life import GelState
 from edge.core.verdict import Cause, Kind
@@ -17,6 +18,17 @@ WHOLE = """(() => { const image = document.getElementById('picture'), box = imag
 ALL_SEEN = """(() => { const alarms = document.getElementById('alarms');
   return alarms.children.length === 3 && alarms.scrollHeight <= alarms.clientHeight
     && document.getElementById('picture').clientHeight >= innerHeight / 2; })()"""
+BROKEN = """(() => {
+  const words = [], texts = document.createTreeWalker(document.querySelector("table"), NodeFilter.SHOW_TEXT);
+  while (texts.nextNode()) {
+    const node = texts.currentNode, range = new Range();
+    for (const { 0: word, index } of node.data.matchAll(/[^ /]+/g)) {
+      range.setStart(node, index);
+      range.setEnd(node, index + word.length);
+      if (range.getClientRects().length > 1) { words.push(word); }
+    }
+  }
+  return words; })()"""
 TEXT = "the disk of /var/lib/gelgate has 212 MB free, expected at least 500 MB; make room"
 
 
@@ -87,3 +99,15 @@ def test_a_phone_shows_the_worst_alarm_and_a_line_opens_the_others(browser: Any,
     sink.send(AlarmPayload(time_ns=T0_NS, alarm="disk", text=TEXT).message())
     wait_until(tab, f"{seen} === 4")
     tab.close()
+
+
+def test_no_word_of_the_last_presses_is_broken_on_a_phone(browser: Any) -> None:
+    """A part breaks at its slash, also beside the buttons of who has the token."""
+    pressed = press(1, part="dado", position="default", picture=None)
+    with served(Scene((state("ready"), info(), *pressed))) as port:
+        tab = open_tab(browser, port, viewport={"width": 390, "height": 844})
+        tab.fill("#token", TOKEN)
+        tab.press("#token", "Enter")
+        tab.wait_for_selector("#say-head", state="visible")
+        assert tab.evaluate(BROKEN) == []
+        tab.close()

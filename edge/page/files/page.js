@@ -295,7 +295,8 @@ function showStation(station) {
 }
 
 function showRow(press) {
-  const row = document.createElement("tr"), time = element("td", clock(press));
+  const row = document.createElement("tr"), time = element("td", clock(press)), part = element("td", "");
+  part.append(press.part, ...(press.position ? ["/", document.createElement("wbr"), press.position] : []));
   if (press.has_picture) {
     const link = element("a", clock(press));
     link.href = `pictures/${press.press_id}`;
@@ -303,7 +304,7 @@ function showRow(press) {
     link.setAttribute("aria-label", t("Picture of the press at {time}", { time: clock(press) }));
     time.replaceChildren(link);
   }
-  row.append(element("td", t(word(press)), word(press)), element("td", ratio(press)), element("td", named(press)), time);
+  row.append(element("td", t(word(press)), word(press)), element("td", ratio(press)), part, time);
   if (may("confirm_press")) {
     const cell = element("td", ""), button = element("button", t("Say…"));
     button.setAttribute("aria-label", t("Say what the press at {time} was", { time: clock(press) }));
