@@ -96,7 +96,7 @@ class SensingWatch(PressStage):
             if self._alarms.set_fault("contact", sentence if is_fault else None):
                 log.error("%s", sentence)
             if not is_fault:
-                self._alarms.say("contact", sentence, "warning")
+                self._alarms.say("contact", sentence, "error" if is_late else "warning")
         if (self._blind is None) != (sight.lost is None):
             self._blind = None if sight.lost is None else self._sentence(sight, timestamp_ns)
             log.warning("%s", self._blind or "the sensor shows its gel again")
