@@ -32,7 +32,7 @@ from edge.core.contact.rules import gap, relearn, step, trigger
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import Observation
 from edge.core.contact.signals import Track, is_touch, phase_of
-from edge.core.contact.table import TABLE, Signal, State
+from edge.core.contact.table import TABLE, Signal, State, table_markdown
 
 EXTERNAL = ContactSettings(is_external=True)
 
@@ -335,3 +335,13 @@ def test_relearning_closes_a_press() -> None:
     for frames, expected in ((MOVING, "PressNotSettled:RELEARNT PressEnded"), (STILL, "PressEnded")):
         track, events = relearn(run(free(), frames)[0])
         assert (story(events), track.state) == (expected, State.WARM_UP)
+
+
+def test_the_table_that_the_manual_prints_says_where_each_signal_leads() -> None:
+    """A dot where the state stays."""
+    heads, rule, *rows = table_markdown().splitlines()
+    assert heads == "| state | " + " | ".join(Signal) + " |"
+    assert rule == "|---|" + "---|" * len(Signal)
+    assert len(rows) == len(State)
+    cells = ["·", "·", "·", "·", "approach", "·", "·", "·", "·", "·", "·", "warm-up"]
+    assert rows[2] == f"| **no contact** | {' | '.join(cells)} |"

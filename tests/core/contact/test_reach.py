@@ -6,7 +6,13 @@ from numpy.typing import NDArray
 
 from edge.core.contact.mask import touched_mask
 from edge.core.contact.reference import Reference, View
-from edge.core.contact.relief import ReliefOfReference, find_expected_reach, reach, reach_beside_marks
+from edge.core.contact.relief import (
+    ReliefOfReference,
+    find_contact,
+    find_expected_reach,
+    reach,
+    reach_beside_marks,
+)
 from edge.core.imaging.region import Region
 
 GEL = np.full((120, 160, 3), 120, np.float32)
@@ -87,3 +93,13 @@ def test_the_usual_contact_shows_it_too() -> None:
     assert np.argwhere(expected).min(axis=0).tolist() == [2, 4]
     assert np.count_nonzero(expected) == 4
     assert find_expected_reach([], None, None, region, (8, 8)) is None
+
+
+def test_a_press_too_light_for_an_area_has_contact_where_its_relief_is() -> None:
+    """A burr alone: no area of the view changes, and only what the burr bends is contact."""
+    free = np.full((240, 320, 3), 120, np.uint8)
+    press = free.copy()
+    press[40:44, 258:262] += 40
+    found = find_contact(press, free, (320, 240))
+    assert found[40:44, 258:262].all()
+    assert not found[:, :220].any()

@@ -9,7 +9,7 @@ from contact_frames import FREE, HELD, MS, PRESS, RELEASED, RULES, at, free, pre
 
 from edge.core.contact.events import PressSettled
 from edge.core.contact.rules import trigger
-from edge.core.contact.settled_frame import Observation
+from edge.core.contact.settled_frame import Observation, Window
 from edge.core.contact.table import State
 
 
@@ -154,3 +154,7 @@ def test_a_press_settles_where_it_rests(name: str) -> None:
     """One that never rested is counted, and rejected."""
     frames, expected = RAMPS[name]
     assert story(run(free(), frames)[1]) == expected
+
+
+def test_a_press_without_frames_does_not_rest() -> None:
+    assert not Window().is_at_rest(RULES)

@@ -357,3 +357,13 @@ def test_damage_about_which_the_part_turns_is_no_scar(is_pin: bool, is_unique: b
         judged = gel.judge(one, FREE)
         found.append(judged.masked.any() or (judged.blame is not None and judged.blame.cause is Cause.GEL))
     assert any(found) == (is_unique and not is_pin)
+
+
+def test_what_was_not_judged_is_outside_the_extent() -> None:
+    """The lower half of the region: rows 120 to 231 of the picture are rows 60 to 115 of the view."""
+    unseen = np.zeros((224, 224), bool)
+    unseen[112:] = True
+    whole, judged = press().extent(), replace(press(), unseen=unseen).extent()
+    assert (judged[:60] == whole[:60]).all()
+    assert whole[60:116].any()
+    assert not judged[60:].any()

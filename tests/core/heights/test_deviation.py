@@ -123,3 +123,11 @@ def test_half_unseen_is_measured_by_what_is_seen() -> None:
     press = np.where(x > 0.9, np.nan, dome() - dent((0.0, 0.0), 0.2, 0.8))
     found = measure(press, disc((0.0, 0.0), 0.6))
     assert found.depth_mm == pytest.approx(0.2, rel=0.05)
+
+
+def test_a_size_that_is_hardly_told_from_what_is_around_is_not_claimed() -> None:
+    """Waves of 0.03 mm around a dent of 0.05 mm: its depth is seen, and not where it ends."""
+    found = measure(dome() + rough() - dent((0.0, 0.0), 0.05, 1.5), disc((0.0, 0.0), 1.05))
+    assert found.remark.startswith("its outline is not told")
+    assert found.depth_mm == pytest.approx(0.05, abs=found.depth_u95_mm)
+    assert found.size_mm is None

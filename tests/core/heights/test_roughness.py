@@ -9,7 +9,7 @@ from lit_surface import MM_PER_PX, calibration, grid
 from edge.core.arrays import F64
 from edge.core.errors import HeightError
 from edge.core.heights.height_map import HeightMap
-from edge.core.heights.roughness import measure_roughness
+from edge.core.heights.roughness import Roughness, measure_roughness
 from edge.core.imaging.region import Region
 
 ALL = Region(20, 20, 280, 200)
@@ -69,3 +69,8 @@ def test_a_region_that_cannot_serve_is_refused(region: Region, cut_off_mm: float
     heights.touched[150:] = False
     with pytest.raises(HeightError, match=sentence):
         measure_roughness(heights, region, cut_off_mm)
+
+
+def test_a_number_is_said_with_its_uncertainty() -> None:
+    assert str(Roughness("Sa", "", 12.34, 0.56, 1.0)) == "Sa 12.3 um, +- 0.6 um (95 %)"
+    assert str(Roughness("Rz", "y", 12.34, 0.56, 1.0)).startswith("Rz along y 12.3 um")

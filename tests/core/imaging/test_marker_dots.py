@@ -207,3 +207,23 @@ def test_a_picture_without_dots_is_kept(rgb: U8) -> None:
 def test_nonsense_is_refused(wrong: Callable[[], object], said: str) -> None:
     with pytest.raises(ValueError, match=re.escape(said)):
         wrong()
+
+
+def test_dots_of_a_moved_gel_are_found_where_they_are() -> None:
+    """Each with how far it lies from its place; of a picture without dots none is."""
+    dots, press = known(), dotted(LIGHT, PLACES + np.array([4.0, -7.0]))
+    shifts, found = dots.find_shifts(press), dots.find(press)
+    seen = np.isfinite(shifts).all(axis=1)
+    assert seen.mean() > 0.6
+    np.testing.assert_allclose(np.median(shifts[seen], axis=0), [4.0, -7.0], atol=0.1)
+    assert all(found[y, x] for x, y in np.rint(whole(PLACES + np.array([4.0, -7.0]))).astype(int))
+    assert found.mean() < 0.5
+    assert not dots.find(LIGHT).any()
+
+
+@pytest.mark.parametrize(("apart_px", "share"), [(20.0, "44%"), (11.0, "100%")])
+def test_what_is_not_judged_under_dots_is_said(apart_px: float, share: str) -> None:
+    """Discs with their rims, 1.5 times as wide as the dots: pi / 4 * 15 ** 2 of 20 * 20 pixels; no more than all."""
+    dots = MarkerDots(np.array([[5.0, 5.0]]), apart_px, 10.0, 0.3)
+    assert str(dots).startswith(f"10 pixels wide, {apart_px:.0f} apart")
+    assert str(dots).endswith(f"nothing is judged under them, {share} of the gel")

@@ -87,3 +87,17 @@ def test_a_falling_weight_is_linear_in_the_overlap() -> None:
 def test_nonsense_is_refused(make: object, says: str) -> None:
     with pytest.raises(ValueError, match=says):
         make()  # type: ignore[operator]
+
+
+def test_a_layout_is_read_as_it_was_written() -> None:
+    """A trunk keeps it in its metadata; anything else is refused."""
+    tiles = tiling((30, 47), 20, 5)
+    assert Tiles.read(tiles.to_json()) == tiles
+    with pytest.raises(ValueError, match="not a layout of tiles"):
+        Tiles.read('{"frame": [30, 47]}')
+
+
+def test_cells_of_a_mosaic_begin_where_their_tile_has_them() -> None:
+    """Two tiles of 8 that begin at 0 and 4: cells of 4 pixels along the rows, of 2 along the columns."""
+    rows, columns = Tiles((12, 8), 8, (0, 4), (0,)).edges((2, 4))
+    assert (rows.tolist(), columns.tolist()) == ([0, 4, 4, 8], [0, 2, 4, 6])

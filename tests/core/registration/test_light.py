@@ -1,6 +1,7 @@
 """What a press adds to the free gel's light."""
 
 import numpy as np
+import pytest
 import turned_parts as parts
 
 from edge.core.registration.colours import FreeLight
@@ -38,3 +39,12 @@ def test_a_change_is_shown_by_its_weight() -> None:
 
     for found, expected in ((none, part), (half, (part + other) / 2), (all_of_it, other)):
         assert np.abs(found.astype(np.int16) - light.picture(expected)).max() <= 1
+
+
+def test_a_region_smaller_than_the_picture_of_the_level_shows_what_is_added() -> None:
+    free = np.full((60, 60, 3), 120, np.uint8)
+    press = free.copy()
+    press[20:30, 20:30] += 30
+    added = FreeLight(free).find_change(press)
+    assert added[25, 25] == pytest.approx(30, abs=3)
+    assert added[5, 5] == pytest.approx(0, abs=1)

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from edge.core.registration.pose import Pose, warp
+from edge.core.arrays import Mask
+from edge.core.registration.pose import Pose, PoseUncertainty, Registered, gel_limits_in_pose, warp
 
 
 def test_a_pose_after_its_inverse_is_none() -> None:
@@ -47,3 +48,34 @@ def test_a_pose_is_finite() -> None:
     """A pose that was not found is no pose."""
     with pytest.raises(ValueError, match="finite"):
         Pose(math.nan, 0.0, 0.0)
+
+
+def placed(pose: Pose, seen: Mask) -> Registered:
+    rgb = np.zeros((*seen.shape, 3), np.uint8)
+    return Registered(rgb, seen, pose, PoseUncertainty(0.1, 0.1, None), match=0.9, seen_share=1.0)
+
+
+def test_limits_of_the_gel_are_one_where_they_left_the_field() -> None:
+    """A place that is judged less strictly moves with the part; what comes in is judged by the limit itself."""
+    limits = np.full((9, 9), 2, np.float32)
+    moved = gel_limits_in_pose(limits, Pose(3.0, 0.0))
+    assert (moved[:, :6] == 2).all()
+    assert (moved[:, 7:] == 1).all()
+
+
+def test_places_of_the_press_that_are_left_out_are_not_seen() -> None:
+    """They are of the press: in the bank's pose they lie where the part has moved from."""
+    hidden = np.zeros((9, 9), bool)
+    hidden[4, 7] = True
+    left = placed(Pose(3.0, 0.0), np.ones((9, 9), bool)).without(hidden).seen
+    assert np.argwhere(~left).tolist() == [[4, 4]]
+
+
+def test_missing_relief_counts_at_its_full_height_where_places_are_seen() -> None:
+    """Highest at a place that is not seen, the map shows it at the one that is; without any, at each place that is."""
+    seen = np.array([[True, True, False]])
+    press, score = placed(Pose(), seen), np.full((1, 3), 0.5, np.float32)
+    relief = np.array([[0.0, 2.0, 4.0]], np.float32)
+    assert press.show_missing(score, relief).tolist() == [[0.5, 4.0, 0.5]]
+    relief[0, 1] = 0
+    assert press.show_missing(score, relief).tolist() == [[4.0, 4.0, 0.5]]
