@@ -100,3 +100,7 @@ def test_damaged_charts_are_refused(damaged: np.ndarray) -> None:
     """The folder of the gel then logs it, and they are learnt again."""
     with pytest.raises(ValueError):  # noqa: PT011 - each fault has its own sentence
         _bundles_from(damaged)
+
+
+def test_a_file_without_rows_has_no_charts() -> None:
+    assert _bundles_from(np.empty(0)) == {}

@@ -20,7 +20,7 @@ from edge.core.imaging.image_bytes import picture_size, with_comment
 from edge.core.overview.rules import OverviewRules, read_codes
 from edge.core.part_position import PartPosition
 from edge.core.ports import DeviceIdentity
-from edge.core.press import Press
+from edge.core.press import Press, ReferenceLabel
 from edge.core.verdict import Kind
 from edge.features.overview import WAIT_S, Overview, still_of
 
@@ -227,3 +227,11 @@ def test_a_camera_that_hangs_is_refused_though_its_bytes_differ() -> None:
         faults.append(overview.look_at_part().fault)
     hung = "the overview camera gives one picture again and again"
     assert faults == [None, hung, hung, None]
+
+
+def test_a_master_piece_needs_no_still() -> None:
+    """It is neither looked at nor refused; a press that was not looked at has no fields of it."""
+    overview = overview_of(ManualClock(), [], OverviewRules(codes=("qr",)))
+    master = Press(label=ReferenceLabel("M1", "pass", 5))
+    assert overview.admit(master) is master
+    assert overview.fields(master) == {}

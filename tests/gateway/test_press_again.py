@@ -3,11 +3,13 @@
 import json
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
 
+import numpy as np
 import pytest
 from command_line import gelgate
 from sql import execute
@@ -19,10 +21,13 @@ from edge.clock import ManualClock
 from edge.core.errors import NotScorable
 from edge.core.handshake import Trigger
 from edge.core.overview.view import Code, OverviewView
-from edge.core.press import Press
+from edge.core.press import Press, ReferenceLabel, ScarFindings
 from edge.core.press_again import Costs
+from edge.core.registration.pose import Pose, PoseUncertainty, Registered
+from edge.core.sentence import Sentence
+from edge.core.verdict import Blame, Cause, decide
 from edge.features.handshake.stage import HandshakeStage
-from edge.features.press_again import PressAgain
+from edge.features.press_again import PressAgain, find_seen
 from edge.model.bundle import Bundle
 from edge.store.integrity import check_database
 from plugins.handshakes.modbus import ModbusServer
@@ -274,3 +279,40 @@ def test_a_press_that_waits_is_dropped_with_a_change(
         station.play_until(lambda: len(station.reports) == 1)
         change(station)
         assert f"is not waited for any more: {why}" in str(station.alarm("press_again"))
+
+
+def test_what_scars_hide_is_not_compared() -> None:
+    """The first press shows nothing there, so the place of the part is not judged by it, wherever the part lay."""
+    score_map, hidden = np.full((9, 9), 0.5, np.float32), np.zeros((9, 9), bool)
+    hidden[4, 7] = True
+    placed = Registered(
+        np.zeros((9, 9, 3), np.uint8),
+        np.ones((9, 9), bool),
+        Pose(3.0, 0.0),
+        PoseUncertainty(0.1, 0.1, None),
+        match=0.9,
+        seen_share=1.0,
+    )
+    press = Press(decide(0.5, 0.4), score_map=score_map, registered=placed)
+    scars = ScarFindings(Blame(Cause.UNSURE, Sentence("nowhere")), hidden)
+    whole, masked = find_seen(press), find_seen(replace(press, scars=scars))
+    assert whole is not None
+    assert masked is not None
+    assert whole.is_judged.all()
+    assert np.argwhere(~masked.is_judged).tolist() == [[4, 4]]
+
+
+def test_a_master_piece_is_no_second_press(again_bundle: Path) -> None:
+    """It passes through unchanged, and the piece that waits still waits."""
+    bundle = Bundle.load(again_bundle)
+    costs = Costs(missed=1, false_alarm=1000, press=1, defect_rate=0.01)
+    again, inspector = PressAgain(costs, 30.0, ManualClock(), Mock()), SimpleNamespace(bundle=bundle)
+    again.use(inspector)  # type: ignore[arg-type]
+    press = Press(bundle.manifest.decide(0.2))
+    first = again.judge(press, None, inspector).again  # type: ignore[arg-type]
+    master = replace(press, label=ReferenceLabel("M1", "pass", 5))
+    assert again.judge(master, None, inspector) is master  # type: ignore[arg-type]
+    second = again.judge(press, None, inspector).again  # type: ignore[arg-type]
+    assert first is not None
+    assert second is not None
+    assert second.second_of is not None

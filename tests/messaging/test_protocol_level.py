@@ -1,5 +1,7 @@
 """Which protocol level the sink speaks: silence never leads to 3.1.1, where denied messages vanish without a word."""
 
+import socket
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -121,3 +123,40 @@ def test_messages_are_subscribed_to_at_qos_1(scripted: ScriptedBroker, level: st
     connection.close()
 
     assert [body[-1] & 0b11 for body in scripted.subscriptions] == [1]
+
+
+class RefusesLogins(ScriptedBroker):
+    """It answers at either level that the password is wrong."""
+
+    def _connect(self, one: socket.socket, level: str, body: bytes) -> None:
+        self.levels.append(level)
+        one.sendall(b"\x20\x03\x00\x86\x00" if level == "5" else b"\x20\x02\x00\x04")
+
+
+def test_a_refused_login_at_level_5_is_an_answer_of_a_broker_that_speaks_it() -> None:
+    with RefusesLogins() as broker, ScriptedBroker(connects=["refuse"]) as older:
+        assert Connection.speaks_5(Broker("127.0.0.1", broker.port, "press2"))
+        assert not Connection.speaks_5(Broker("127.0.0.1", older.port, "press2"))
+
+
+def test_why_a_broker_ends_a_connection_is_said(scripted: ScriptedBroker) -> None:
+    """DISCONNECT with the reason 0x8B of MQTT 5."""
+    lost = threading.Event()
+    connection = Connection.open(
+        Broker("127.0.0.1", scripted.port, "press2", level="5", timeout_s=60.0), on_lost=lost.set
+    )
+    scripted._sockets[-1].sendall(b"\xe0\x02\x8b\x00")
+    assert lost.wait(60)
+    assert connection.why_lost == "Server shutting down"
+    assert not connection.was_taken_over
+
+
+def test_an_answer_names_the_request_that_it_is_of(scripted: ScriptedBroker) -> None:
+    """The property Correlation Data, 9, with its length."""
+    heard: list[bytes] = []
+    take = scripted._take
+    scripted._take = lambda one, level, kind, body: (heard.append(body), take(one, level, kind, body))[0]  # type: ignore[method-assign,assignment]
+    connection = Connection.open(Broker("127.0.0.1", scripted.port, "press2", level="5", timeout_s=60.0))
+    connection.publish(Message("answer", b"{}", correlation=b"id7"))
+    connection.close()
+    assert b"\x09\x00\x03id7" in heard[0]
