@@ -18,6 +18,7 @@ from sql import execute
 from station import Configure, station_config, variant
 from stepped_station import SteppedStation
 
+from edge.features.black_box import replay
 from edge.gateway.recorder import PressReport
 from edge.store.acts import CONFIRM, Act
 from edge.store.integrity import check_database
@@ -479,3 +480,16 @@ def test_what_a_killed_gateway_left_is_removed(copy: Played) -> None:
     after = {path.name for path in copy.objects.iterdir()}
     assert kept <= after
     assert "0" * 64 not in after
+
+
+def test_what_was_or_is_alone_is_said(made: Played) -> None:
+    """A score or a map of one time only, and a map of another size."""
+    press, archive = made.record(1), ArchiveFolder(made.archive)
+    h, w = press.map_shape or (0, 0)
+    now = np.zeros((2, 3), np.float32)
+    without = press.model_copy(update={"score_map": None})
+    assert replay._of_scores(None, 0.25) == "score None then, 0.25 now"
+    assert replay._of_scores(0.25, None) == "score 0.25 then, None now"
+    assert replay._of_maps(press, None, archive) == "a score map then alone"
+    assert replay._of_maps(without, now, archive) == "a score map now alone"
+    assert replay._of_maps(press, now, archive) == f"score map of ({h}, {w}) (h, w) then, (2, 3) now"

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -17,8 +18,10 @@ from command_line import gelgate
 from station import Motion, mark_tried, press_recording, station_config, variant
 from stepped_station import SteppedStation
 
+from edge.core.press import Press
+from edge.core.registration.pose import Pose
 from edge.features import drawn_regions
-from edge.features.drawn_regions import MOST_REMEMBERED, DrawnRegionsStage
+from edge.features.drawn_regions import MOST_REMEMBERED, DrawnRegionsStage, SetRegionsArguments
 from edge.model.bundle import Bundle
 from edge.pictures.image_file import texts
 
@@ -314,3 +317,22 @@ def test_presses_are_forgotten_in_turn(station: SteppedStation) -> None:
     station.play_presses(2)
     assert press not in stage._seen
     assert len(stage._seen) == MOST_REMEMBERED
+
+
+PRESS_ID = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
+
+
+def test_corners_on_a_part_that_lay_elsewhere_are_brought_to_the_bank(bundle: Path) -> None:
+    """Pixel 10, 20 of the press is pixel 7, 20 of the bank, where the part lay 3 pixels to the right."""
+    used = Bundle.load(bundle)
+    stage = DrawnRegionsStage(Mock(), Mock(), may_sign=True)
+    h, w = used.manifest.frame
+    placed = Mock(pose=Pose(3.0, 0.0))
+    press = Press(score_map=np.zeros((h, w), np.float32), registered=placed, press_id=PRESS_ID)
+    stage.keep(press, Mock(bundle=used))
+    across, down = used.profile.mm_per_pixel
+    arguments = SetRegionsArguments(
+        add="hole", points_mm=[[10.5 * across, 20.5 * down]] * 3, press_id=PRESS_ID
+    )
+    for x, y in stage._find_points(arguments, used):
+        assert (x / across, y / down) == pytest.approx((7.5, 20.5))

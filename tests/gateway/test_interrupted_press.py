@@ -150,3 +150,16 @@ def test_a_lift_that_is_too_short_to_end_a_press_is_an_alarm(
             watch.look(look)
     assert any(said) == is_said
     assert said[-1] is None
+
+
+def test_a_picture_that_comes_and_goes_is_said_with_what_it_shows_meanwhile(tmp_path: Path) -> None:
+    """Sight that is lost for good is said with its time instead."""
+    look = [PressDetector(PROFILE).feed(frame) for frame in frames(FREE)][-1]
+    with Store(tmp_path / "gelgate.db") as store:
+        for comes_and_goes, words in ((True, "comes and goes"), (False, "nothing was seen since")):
+            alarms = Mock()
+            sight = Mock(lost="its picture is black", comes_and_goes=comes_and_goes, seen_ns=0, since_ns=0)
+            SensingWatch(alarms, store, ManualClock()).look(replace(look, sight=sight))
+            (said,) = alarms.set_blind.call_args.args
+            assert words in said
+            assert "its picture is black" in said

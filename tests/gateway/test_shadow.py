@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
+import numpy as np
 import pytest
 from command_line import gelgate
 from shadow_station import FIVE, Shadowed, adopt, restore
@@ -14,10 +15,11 @@ from sql import execute
 from station import Motion, press_recording, variant
 from stepped_station import SteppedStation
 
+from edge.core.contact.mask import Touch
 from edge.core.errors import NotScorable
 from edge.core.part_position import PartPosition
-from edge.core.press import ShadowVerdict
-from edge.features.shadow import Shadow
+from edge.core.press import JudgedFrame, Press, ShadowVerdict
+from edge.features.shadow import Shadow, _follow_light
 from edge.gateway.bundle_set import BundleSet
 from edge.gateway.opening import Opened
 from edge.model.bundle import Bundle
@@ -585,3 +587,22 @@ def test_a_takeover_that_cannot_be_recorded_is_made_when_it_can(
         assert not station.loop.is_halted
         assert station.bundle_id == Bundle.load(shadow).digest
         assert station.find(Shadow)._exchange is None
+
+
+def test_a_shadow_of_another_light_follows_the_free_gel_that_the_press_had() -> None:
+    """As the light that is followed shows it; without one the picture that it was compared with. Fitted under the same
+    light, it takes the light itself."""
+    view = np.full((120, 160, 3), 100, np.float32)
+    inspector, other, same = (
+        Mock(bundle=Mock(free_reference=Mock(view=seen))) for seen in (view, view + 1, view.copy())
+    )
+    light = Mock(undo=lambda free: free + 7)
+    judged = JudgedFrame(Mock(), Touch(0.1), view + 3)
+    for press, expected in ((Press(light=light), view + 7), (Press(judged=judged), view + 3)):
+        _follow_light(press, other, inspector)
+        assert (other.follow_light.call_args.args[0] == expected).all()
+    _follow_light(Press(), other, inspector)
+    other.follow_light.assert_called_with(None)
+    _follow_light(Press(light=light), same, inspector)
+    same.set_light.assert_called_once_with(light)
+    same.follow_light.assert_not_called()

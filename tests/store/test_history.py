@@ -13,7 +13,7 @@ from edge.core.errors import StoreError
 from edge.core.gel_life import GelLabel
 from edge.store.backup import migrate
 from edge.store.database import APPLICATION_ID, MIGRATIONS, SCHEMA_VERSION, open_read_only
-from edge.store.history import COLUMNS, HistoryQuery, HistoryRow, read_history, write_history
+from edge.store.history import COLUMNS, HistoryQuery, HistoryRow, list_parts, read_history, write_history
 from edge.store.press_store import Store
 
 VERDICTS = ("pass", "fail", "pass", "unsure", "rejected", "error")
@@ -166,3 +166,7 @@ def test_presses_of_earlier_versions_have_no_cause(path: Path) -> None:
 
     causes = [row.cause for row in read_history(path, HistoryQuery())]
     assert causes == [None, "part", "gel", "unsure", None]
+
+
+def test_parts_that_were_pressed_are_listed(six: Path) -> None:
+    assert list_parts(six) == ["bolt/-", "nut/-"]

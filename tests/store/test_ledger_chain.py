@@ -6,6 +6,7 @@ import shutil
 import sqlite3
 import struct
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -438,3 +439,13 @@ def sound_copy(factory: pytest.TempPathFactory) -> Path:
         shift(path)
         _MADE["path"] = path
     return _MADE["path"]
+
+
+def test_a_history_that_goes_before_anything_is_chained_moves_the_start_forward_alone(store: Store) -> None:
+    """Of a database that was migrated: its presses up to 7 are no longer asked for."""
+    for cut_up_to in (7, 5):
+        store.write("cutting", partial(ledger_chain.cut, presses_up_to=cut_up_to))
+        start = store.read(
+            "reading", lambda it: it.execute("SELECT presses_up_to FROM ledger_start").fetchone()
+        )
+        assert start == (7,)
