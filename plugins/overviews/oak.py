@@ -158,7 +158,8 @@ def _camera(dai: Any, options: OakOptions, clock: Clock) -> OakCamera:
         pipeline.start()
     except RuntimeError as error:
         raise DeviceBusy(
-            f"{PRODUCT} {options.serial or 'camera'} does not start ({error}); end other programs that use it, or plug it in again"
+            f"{PRODUCT} {options.serial or 'camera'} does not start ({error}); end other programs that use it, or "
+            "plug it in again"
         ) from error
     return OakCamera(_identity(info.deviceId, options), pipeline, queue, clock, is_film=False)
 
