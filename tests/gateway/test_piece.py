@@ -314,6 +314,25 @@ def test_what_a_person_selected_since_the_press_stays_selected_over_a_restart(co
         assert (by_plan, station.parts.selection.part) == (MIDDLE, RIGHT)
 
 
+@pytest.mark.parametrize("is_lifted", [False, True])
+def test_a_place_that_a_person_keeps_stays_selected_over_a_restart(configure: Make, is_lifted: bool) -> None:
+    """Its press is recorded and not lifted, and the place that is left waits for its end: what is in use is selected
+    again."""
+    config = configure(plan("free", ("left", "middle")), presses=1)
+    with PieceStation(config) as station:
+        station.play_until(lambda: station.parts.selection.is_waiting)
+        by_plan = station.parts.selection.selected
+        station.clock.sleep(1.0)
+        station.select("left")
+        if is_lifted:
+            station.play_until(lambda: not station.loop.session.has_contact)
+            station.turn()
+    with PieceStation(config) as station:
+        station.play_until(lambda: station.loop.session is not None)
+        station.turn()
+        assert (by_plan, station.parts.selection.part) == (MIDDLE, LEFT)
+
+
 def test_what_a_person_selects_while_something_presses_stays_selected(configure: Make) -> None:
     """The press was of the last place but one, and the plan would select the place that is left."""
     with PieceStation(configure(plan("free", ("left", "middle")), presses=1)) as station:
