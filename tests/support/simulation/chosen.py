@@ -104,7 +104,7 @@ FAMILIES = (
     Family({"select part": 30, "stop": 4}, {"trigger": "command", "is_slow": True}),
     Family({"hang": 20, "freeze": 6, "relay": 4}, {"has_robot": True, "until_next": True, "presses": 40}),
     Family({"lock database": 60}, {"presses": 40}),
-    Family({"exchange bundle": 40, "edit configuration": 20, "select part": 2}, {"presses": 40}),
+    Family({"exchange bundle": 40, "edit configuration": 20, "select part": 10}, {"presses": 40}),
     Family(
         {REFERENCE: 12, "replace gel": 6, "relearn": 3}, {"features": (REFERENCE,), "has_free_view": False}
     ),
@@ -115,15 +115,7 @@ FAMILIES = (
     ),
     Family({"silence": 10, "unplug": 5, "stop": 6, "request": 40}, {"has_page": True}),
     Family(
-        {
-            "say": 20,
-            SNAPSHOT: 20,
-            "adopt": 6,
-            "lose power": 6,
-            "break shadow": 4,
-            "break tool": 12,
-            OTHERWISE: 4,
-        },
+        {"say": 20, SNAPSHOT: 20, "adopt": 12, "lose power": 6, "break tool": 12},
         {"has_shadow": True, "features": (SNAPSHOT,)},
     ),
     Family(
@@ -131,11 +123,15 @@ FAMILIES = (
         {"features": (AGAIN,), "presses": 24, "fps": 9.0, "has_shadow": False},
     ),
     Family(
-        {"say": 60, "adopt": 12, "break tool": 12, "acknowledge": 4, "stop": 2},
-        {"has_shadow": True, "has_heir": True, "is_lenient": True, "presses": 30},
+        {"say": 60, "adopt": 4, "break tool": 12, "acknowledge": 4, "stop": 2},
+        {"has_shadow": True, "has_heir": True, "is_lenient": True, "has_archive": True, "presses": 36},
     ),
     Family({"plc": 5, "second plc": 2, "select part": 8, "silence": 1}, {"plc": "modbus", "is_slow": True}),
-    Family({"second sensor": 20, "kill start": 6, "stop hanging": 6, "lose database": 4}),
+    # They stop nothing, so that what lasts for presses or seconds may be said.
+    Family(
+        {"break shadow": 6, "break tool": 8, OTHERWISE: 4, "hang up": 6},
+        {"has_shadow": True, "level": "5", "moods": ("refuses",), "presses": 30},
+    ),
     Family({"hang up": 40, "stop": 4, "step clock": 6, "request": 40}, {"moods": CONNECTIONS, "presses": 30}),
     Family(
         {"hang up": 40, "kill": 6, "stop": 4, "bad disk": 3, "slow disk": 3},
@@ -148,6 +144,7 @@ FAMILIES = (
     Family({"begin piece": 12, "stop": 2}, {"piece": "fixed", "presses": 40}),
     Family({"acknowledge": 2}, {"meetings": (FULL[0], FULL[1], FULL[0], FULL[2], FULL[0])}),
     Family({"freeze": 20, "hold back": 10, "shake": 2, "damage": 2}, {"stamps_late": False}),
+    Family({"second sensor": 20, "kill start": 6, "stop hanging": 6, "lose database": 4}),
 )
 """Three of four seeds have one of them alone, and take turns: what meets everything else in the fourth is rare."""
 

@@ -82,7 +82,7 @@ def hang_up(run: "Simulation", rng: random.Random) -> float:
     if run.chosen.moods:  # and nothing else
         times_s = (3, 3, 4, 5) if is_small(run.chosen.outbox_mb) else (1, 2, 4, 8)
     lasts_s = rng.choice(times_s) * (4 if is_small(run.chosen.outbox_mb) else 1)
-    lasts_s = max(lasts_s, 20) if mood == "lets one in" else lasts_s  # until the station says so
+    lasts_s = max(lasts_s, 20) if mood in ("lets one in", "refuses") else lasts_s  # until the station says so
     if rng.random() < 0.5:  # people do not know that it is away
         run.later(lasts_s / 2, lambda: request(run, rng))
     return run.for_a_while(f"{broker.name} {broker.mood}", lasts_s, broker.mend)
