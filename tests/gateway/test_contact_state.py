@@ -87,7 +87,6 @@ def test_frames_that_show_nothing_leave_it_unknown(
     station.clock.sleep(GAP_S + 0.1)
     assert watch._look is not None
     watch.look(replace(watch._look, timestamp_ns=station.clock.monotonic_ns(), seen=None))
-    watch.turn(None)
     assert said[-1]["state"] == "unknown"
 
 

@@ -151,6 +151,7 @@ def test_scars_outlive_a_restart_and_not_the_gel(tmp_path: Path, scarred: Path, 
         assert (station.results[2].blind_share or 0) > 0
         station.find(ScarWatch).see(ReferenceCorrected(0))
         assert list(tmp_path.rglob("*.scars.npy")) == []
+        assert not station.find(ScarWatch)._scars.record.planes.any()
         station.ask("replace_gel", gel_id="new")
         station.play_until(lambda: len(station.reports) == 4)
         fresh = station.results[3]

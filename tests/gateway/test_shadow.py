@@ -127,7 +127,7 @@ def test_a_shadow_takes_over_stays_and_is_taken_back(
         again.play_presses(2)
         with pytest.raises(ValueError, match="has taken over already; restore_bundle brings"):
             again.ask("adopt_shadow")
-        restore(again)
+        assert restore(again)["is_waiting"] is True
         again.play_presses(3)
         with pytest.raises(ValueError, match="no shadow has taken the place"):
             again.ask("restore_bundle")

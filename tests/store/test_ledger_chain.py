@@ -297,6 +297,18 @@ def test_an_act_reads_nothing_of_those_before(used: Path) -> None:
     assert len(steps) < 500
 
 
+def test_ten_thousand_refused_requests_are_kept(used: Path) -> None:
+    """And up to a hundredth more; a flood of them removes nothing else."""
+    rows = "WITH RECURSIVE n (i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 12000) "
+    acts_of = "INSERT INTO acts (time_ns, running_ns, who, verb, arguments, outcome) "
+    execute(used, f"{acts_of}{rows}SELECT i, i, 'x', 'trigger', '{{}}', 'refused' FROM n")
+    with Store(used) as store:
+        for n in range(100):
+            store.begin_act(Act(T0 + n, "x", "trigger", outcome="refused"), 0)
+    ((kept,),) = execute(used, "SELECT count(*) FROM acts WHERE outcome = 'refused'")
+    assert 10_000 <= kept <= 10_100
+
+
 def test_never_more_than_a_hundredth_too_many_acts_are_kept(
     used: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -234,9 +234,8 @@ def test_presses_between_which_others_pass_are_no_repeats_at_the_edge_of_the_reg
     picture[4:12, 76:84] += np.float32(12)  # the region begins in row 4
     gel = GelScars()
 
-    found = [gel.judge(each, None).repeated for _ in range(8) for each in (scored(picture), press())]
-
-    assert found == [None] * 16
+    presses = [*[scored(picture)] * 4, press()] * 3
+    assert [gel.judge(each, None).repeated for each in presses] == [None] * 15
 
 
 def test_damage_that_moves_with_the_part_is_not_repeated_and_of_a_fixture_it_is_said_to_be_reached() -> None:
