@@ -39,7 +39,7 @@ ROOT = Path(__file__).resolve().parents[2]
 # The folders of the tests of a room, where they have other names or are several: a mutant goes through them in turn.
 TESTS_OF = {
     "edge/core": ("core", "gateway"),
-    "edge/store": ("store", "gateway"),
+    "edge/store": ("store", "gateway", "cli"),
     "edge/messaging": ("messaging", "gateway", "cli", "docs"),
     "edge/features": ("gateway",),
     "plugins/sinks": ("messaging",),
