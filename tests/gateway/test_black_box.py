@@ -238,6 +238,7 @@ def test_a_score_that_differs_is_said_with_where_and_why(copy: Played) -> None:
         "may be why: the processor had avx1024",
     ):
         assert words in done.out
+    assert "look for faulty memory" not in done.out
 
     (copy.objects / str(copy.record(1).score_map)).unlink()
     assert "another SHA-256; where it differs cannot be said: " in copy.replay(press.press_id).out
@@ -493,3 +494,9 @@ def test_what_was_or_is_alone_is_said(made: Played) -> None:
     assert replay._of_maps(press, None, archive) == "a score map then alone"
     assert replay._of_maps(without, now, archive) == "a score map now alone"
     assert replay._of_maps(press, now, archive) == f"score map of ({h}, {w}) (h, w) then, (2, 3) now"
+
+
+def test_a_press_judged_by_the_same_machine_points_to_its_memory(made: Played) -> None:
+    """Its program, processor and threads are those of now, and its score is not."""
+    (said,) = replay._machine(made.record(1), ArchiveFolder(made.archive))
+    assert said.endswith("are as they were: look for faulty memory")

@@ -19,7 +19,7 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.gateway.preflight import try_sink
 from edge.messaging.local_broker import LocalBroker
-from edge.messaging.mqtt_broker import Broker
+from edge.messaging.mqtt_broker import Broker, read_password
 from edge.messaging.mqtt_connection import _PACKET_OVERHEAD_BYTES, Connection
 from plugins.sinks.mqtt import plugin
 from plugins.sinks.mqtt_options import MqttOptions
@@ -217,3 +217,9 @@ def test_a_file_that_is_empty_absent_or_a_pipe_is_a_configuration_fault(tmp_path
     ):
         with pytest.raises(ConfigError, match=words):
             plugin.open(MqttOptions.model_validate(options), Station(ROOT, "x"))
+
+
+def test_a_password_is_its_file_without_the_end_of_the_line(tmp_path: Path) -> None:
+    """A blank at its end is part of it; an editor's mark at the beginning of the file is not."""
+    (tmp_path / "password").write_bytes(b"\xef\xbb\xbfse cret \r\n")
+    assert read_password(tmp_path / "password") == "se cret "

@@ -74,3 +74,13 @@ def test_a_region_that_cannot_serve_is_refused(region: Region, cut_off_mm: float
 def test_a_number_is_said_with_its_uncertainty() -> None:
     assert str(Roughness("Sa", "", 12.34, 0.56, 1.0)) == "Sa 12.3 um, +- 0.6 um (95 %)"
     assert str(Roughness("Rz", "y", 12.34, 0.56, 1.0)).startswith("Rz along y 12.3 um")
+
+
+def test_the_uncertainty_is_of_the_heights_twice_the_scale_and_the_noise() -> None:
+    """Slopes are wrong by the share of the scale, and so are lengths. Ra of a noise of 0.5 um is 0.4 um."""
+    heights = height_map(wave(0.02, 0.5))
+    made = heights.calibration
+    found = next(one for one in measure_roughness(heights, ALL) if one.parameter == "Sa")
+    assert found.value_um is not None
+    share = made.height_u95 + 2 * made.scale_u95
+    assert found.u95_um == pytest.approx(found.value_um * share + 0.4)
