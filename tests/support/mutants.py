@@ -113,20 +113,25 @@ def change(node: ast.AST, source: bytes, starts: Sequence[int]) -> tuple[int, in
 
 
 def is_sentence(node: ast.AST) -> bool:
-    """Say whether it makes words for people: of a log line, an error or a text."""
+    """Say whether it makes words for people: of a log line, an error, a text or a value that is printed."""
     match node:
         case ast.JoinedStr() | ast.Raise() | ast.Expr(ast.Call(ast.Attribute(ast.Name("log")))):
+            return True
+        case ast.keyword(arg="repr"):
             return True
     return False
 
 
 def seen(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield a node and what is below it, but for annotations and sentences."""
+    """Yield a node and what is below it, but for annotations, sentences and the -1 of a reshape: numpy takes any
+    negative number for it."""
     yield node
+    is_reshape = isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "reshape"
     for name, field in ast.iter_fields(node):
         for child in field if isinstance(field, list) else [field]:
             if isinstance(child, ast.AST) and name not in ("annotation", "returns"):
-                yield from () if is_sentence(child) else seen(child)
+                is_any = is_reshape and isinstance(child, ast.UnaryOp)
+                yield from () if is_sentence(child) or is_any else seen(child)
 
 
 def readers_of(tree: ast.Module, line: int) -> frozenset[int] | str:
