@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import pytest
 from recorded_presses import count, make_press, record
+from sql import execute
 
 from edge.core.errors import StoreError
 from edge.store import backup, database
@@ -83,13 +84,15 @@ def test_two_backups_at_once_do_not_disturb_each_other(store: Store, path: Path,
 
 
 def test_in_a_folder_the_time_is_in_the_name(store: Store, path: Path, tmp_path: Path) -> None:
-    """And such copies are found again; others are not, nor are those of another station's database of this name."""
+    """And such copies are found again, one of before a migration too; others are not, nor are those of another
+    station's database of this name."""
     (tmp_path / "kept").mkdir()
     (tmp_path / "other").mkdir()
     Store(tmp_path / "other" / "gelgate.db").close()
     copy = back_up(path, tmp_path / "kept")
     for name in ("gelgate-mine.db", "gelgate-20200101T000000Z.db"):
         shutil.copy(copy, tmp_path / "kept" / name)
+    execute(tmp_path / "kept" / "gelgate-20200101T000000Z.db", f"PRAGMA user_version = {SCHEMA_VERSION - 1}")
     back_up(tmp_path / "other" / "gelgate.db", tmp_path / "kept" / "gelgate-20200102T000000Z.db")
     left = {hours: copy.with_name(f"{copy.name}.{hours}.part") for hours in (23, 25)}
     for hours, part in left.items():
