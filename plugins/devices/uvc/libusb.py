@@ -12,6 +12,7 @@ bus.
 import ctypes
 import errno
 from collections import deque
+from contextlib import suppress
 from functools import cache
 from typing import Any
 
@@ -26,6 +27,10 @@ __all__ = ["LibusbBackend", "LibusbPacketStream", "get_backend"]
 # 16 transfers of 64 micro-frames are 128 ms: longer than any pause of the interpreter seen in practice, and 3 MB,
 # well under the 16 MB that usbfs grants (usbcore.usbfs_memory_mb).
 TRANSFERS, PACKETS_PER_TRANSFER = 16, 64
+
+
+# Streams of which libusb has kept a transfer: they stay in memory.
+_never_back: list["LibusbPacketStream"] = []
 
 
 class _TimeVal(ctypes.Structure):
@@ -130,8 +135,11 @@ class LibusbPacketStream:
         for _ in range(TRANSFERS * 4):
             if not self._flying:
                 break
-            self._handle_events(100)
-        # libusb still uses a transfer that did not come back: freeing it would crash, so it is not freed.
+            with suppress(usb.core.USBError):  # a signal has interrupted it, or the sensor is gone
+                self._handle_events(100)
+        # libusb still uses a transfer that did not come back, with its buffer and callback: freeing it would crash.
+        if self._flying:
+            _never_back.append(self)
         for position, transfer in enumerate(self._transfers):
             if position not in self._flying:
                 self._lib.libusb_free_transfer(transfer)

@@ -5,6 +5,8 @@ The private parts of pyusb are checked by using them.
 
 import ctypes
 import errno
+import gc
+import weakref
 from typing import Any
 
 import pytest
@@ -162,6 +164,37 @@ def test_close_cancels_waits_and_frees() -> None:
     stream.close()
     stream.close()
     assert (lib.flying, lib.freed) == ([], TRANSFERS)
+
+
+def test_a_wait_that_is_interrupted_ends_no_close(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by a signal: transfers that are in flight would be left in the hands of libusb, with buffers that are gone."""
+    lib = FakeLibusb([])
+    stream, handle = stream_of(lib), lib.libusb_handle_events_timeout_completed
+    outcomes = [libusb1.LIBUSB_ERROR_INTERRUPTED, libusb1.LIBUSB_ERROR_NO_DEVICE]
+    monkeypatch.setattr(
+        lib,
+        "libusb_handle_events_timeout_completed",
+        lambda *given: outcomes.pop() if outcomes else handle(*given),
+    )
+    stream.close()
+    assert (lib.flying, lib.freed) == ([], TRANSFERS)
+
+
+def test_what_libusb_never_gives_back_keeps_its_memory() -> None:
+    """It may still write into the buffers, and call what was to be called."""
+
+    class Stuck(FakeLibusb):
+        def libusb_handle_events_timeout_completed(self, *given: Any) -> int:
+            return 0
+
+    lib = Stuck([])
+    stream = stream_of(lib)
+    stream.close()
+    assert lib.freed == 0
+    is_there = weakref.ref(stream)
+    del stream, lib
+    gc.collect()
+    assert is_there() is not None
 
 
 def test_there_is_one_backend_for_all() -> None:
