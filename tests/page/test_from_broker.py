@@ -273,6 +273,23 @@ def test_nothing_is_asked_while_the_broker_is_away() -> None:
     assert "nothing was asked: no connection to broker 127.0.0.1:1 yet" in json.loads(answer)["error"]
 
 
+def test_the_page_signs_what_it_has_buttons_for_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who has its token has not the station's secret, which opens every signed verb there."""
+    station, signed = unheard(), list[str]()
+
+    def ask(verb: str, payload: bytes) -> bytes:
+        signed.append(verb)
+        return payload
+
+    station.see(Received(f"{ROOT}/state", state("ready").payload, 1, True))
+    monkeypatch.setattr(station, "ask", ask)
+    requests = page_requests(station, SECRET, ManualClock())
+    answers = [requests.do(verb, b'{"transaction":"1"}') for verb in ("select_part", "prove_gel")]
+
+    assert signed == ["select_part"]
+    assert json.loads(answers[1])["error"] == "this page has no request 'prove_gel'; ask the station itself"
+
+
 def test_the_verb_serves_the_page_until_it_is_interrupted(mosquitto: LocalBroker) -> None:
     """It prints the address; without a secret the page only shows, and says so."""
     says(mosquitto, state("ready"))
