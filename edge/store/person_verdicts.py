@@ -29,8 +29,13 @@ __all__ = [
 ]
 
 
-# What `Commands` adds to a name, which itself may have commas.
-_WAYS: Final = (", over MQTT, signed", ", over MQTT, unsigned", ", at the page")
+# What `Commands` adds to a name, which itself may have commas; first what a page of another machine adds, too.
+_WAYS: Final = (
+    ", at a page, over MQTT, signed",
+    ", over MQTT, signed",
+    ", over MQTT, unsigned",
+    ", at the page",
+)
 
 
 def read_verdicts(

@@ -241,6 +241,17 @@ def test_people_who_contradict_each_other_cannot_tell(played: SteppedStation, on
     assert (row.person_verdict, row.person, row.verdict) == ("cannot_tell", f"{one}, {other}", "pass")
 
 
+def test_a_person_is_one_at_every_page(played: SteppedStation) -> None:
+    """Also at that of another machine, whose requests come over MQTT: one voice, of which the newest word counts."""
+    store, press_id = played.parts.store, played.results[0].press_id
+    for who, word in (("kim, at the page", "damaged"), ("kim, at a page, over MQTT, signed", "good")):
+        given = {"press_id": press_id, "verdict": word}
+        store.begin_act(Act(1, who, CONFIRM, None, given, outcome="done"), 0)
+    words = store.read("reading", partial(read_verdicts, press_id=press_id))[press_id]
+
+    assert [one.person for one in words] == ["kim", "kim"]
+
+
 def test_the_most_questions_that_can_be_configured_fit_on_the_page() -> None:
     """With long names of parts; a page refuses a payload that is too long."""
     (most,) = (
