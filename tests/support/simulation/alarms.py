@@ -364,14 +364,16 @@ def audit_alarms(world: World, station: Station, rules: Sequence[Rule], *, is_he
     # A pause between pictures that show nothing is not their blindness.
     sensor = world.sensor
     given = sensor.given if sensor.is_frozen else sensor.openings
-    of = {"device": (given, sensor.is_silent, sensor.is_holding)}
+    # Each request opens the shadow anew, so that one which is cut may have been whole between two looks.
+    of = {"device": (given, sensor.is_silent, sensor.is_holding), "shadow": world.shelf.asked}
     station.raised_ns |= dict.fromkeys(raised, now_ns)
     for rule in rules:
         is_so = not is_held_up and rule.is_so(world, station)
         may = is_held_up or is_so or rule.may_be(world, station)
         if is_so and rule.alarm in raised:
             station.reached.add(f"the alarm {rule.alarm} was raised for its reason")
-        again = is_held_up or station.mounted_gel()[0] if rules is RECORDED else of.get(rule.alarm)
+        on = (is_held_up or station.mounted_gel()[0],) if rules is RECORDED else ()
+        again = *on, of.get(rule.alarm)
         so_since_ns = station.so_since(f"{rule.alarm} is so", is_so, again)
         mended_ns = mended.get(rule.alarm)
         # What is recorded may have come and gone between two looks.

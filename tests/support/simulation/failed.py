@@ -621,4 +621,15 @@ FAILED = (
         ),
         says="press # is of the master piece, and has a result",
     ),
+    # A cut shadow was whole for a second between two looks, and cut again: the alarm was awaited since before.
+    Failure(
+        seed=0,
+        presses=8,
+        chosen=Chosen(has_shadow=True),
+        schedule=(
+            Fault(at_s=2.3, name="break shadow", seed=1),
+            Fault(at_s=11.8, name="break shadow", seed=1),
+        ),
+        says="the alarm shadow is not raised # s after its reason came",
+    ),
 )
