@@ -140,10 +140,10 @@ def _prove(store: Store, key: GelBundle, part: PartPosition) -> bool:
     try:
         proof = store.write("proving a bundle on a gel", partial(gel_proofs.prove, key=key, part=part))
     except ValueError as error:
-        store.begin_act(act(outcome="refused", sentence=str(error)), within_s=0)
+        store.begin_act(act(outcome="refused", sentence=str(error)))
         print(printable(str(error)))
         return False
-    store.begin_act(act(outcome="done"), within_s=0)
+    store.begin_act(act(outcome="done"))
     print(printable(f"bundle {key.describe(part)} is proven on gel {key.gel_id}: {proof.sentence}"))
     return True
 

@@ -109,7 +109,7 @@ class ContactWatch(PressStage):
         """Notice that frames have ended, and record overloads. Errors: StoreError; they go on waiting."""
         self._lose_unseen()
         while self._waiting:
-            self._parts.store.begin_act(self._waiting[0], within_s=0)
+            self._parts.store.begin_act(self._waiting[0])
             self._waiting.popleft()
 
     def _lose_unseen(self) -> None:

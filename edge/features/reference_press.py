@@ -232,7 +232,7 @@ class ReferenceGuard(PressStage):
         if why is not None:
             log.warning("a reference press was asked for and refused: %s", why)
             act = replace(act, outcome="refused", sentence=why)
-        self._store.begin_act(act, within_s=0)
+        self._store.begin_act(act)
 
     def _why_not(self, taken: ReferenceRequest) -> str | None:
         """Do it, or say why not."""

@@ -105,7 +105,7 @@ class SensingWatch(PressStage):
     def turn(self, mounted: Mounted | None) -> None:
         """Record the times in which nothing was seen. Errors: StoreError; they go on waiting."""
         while self._unseen:
-            self._store.begin_act(self._unseen[0], within_s=0)
+            self._store.begin_act(self._unseen[0])
             self._unseen.popleft()
 
     def _note_unseen(self, seconds: float) -> None:

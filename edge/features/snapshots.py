@@ -133,7 +133,7 @@ class Snapshots(PressStage):
         StoreError; the outcome is then recorded by a later turn."""
         self._done = self._done or self.worker.take()
         if self._done is not None:
-            self._store.begin_act(self._done, within_s=0)
+            self._store.begin_act(self._done)
             self._done = None
         wish, identity = self._wish, self._find_sensor()
         if (

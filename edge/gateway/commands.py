@@ -173,7 +173,7 @@ class Commands:
         act = Act(self._clock.time_ns(), PAGE, verb[:64], transaction, outcome="refused", sentence=why)
         if self._rates["refused at the page"].take():
             try:
-                self._store.begin_act(act, REPEATED_WITHIN_S)
+                self._store.begin_act(act)
             except StoreError as error:
                 log.error("a refused request is not recorded: %s", error)
         return self._answer(verb, transaction, error=why)
@@ -223,7 +223,7 @@ class Commands:
         act = Act(now_ns, asked.who, verb[:64], request.transaction, request.arguments, asked.signature)
         is_within_rate = self._rates[asked.kind].take()
         if why is not None and is_within_rate:
-            self._store.begin_act(replace(act, outcome="refused", sentence=why), REPEATED_WITHIN_S)
+            self._store.begin_act(replace(act, outcome="refused", sentence=why))
         if why is not None or not is_within_rate:
             raise ValueError(why or f"more than {self._per_minute} requests a minute; ask again later")
         if asked.signature is not None:

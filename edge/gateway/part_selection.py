@@ -206,7 +206,7 @@ class PartSelection:
                 self.reload()
         try:
             while self._unrecorded:
-                self._store.begin_act(self._unrecorded[0], within_s=0)
+                self._store.begin_act(self._unrecorded[0])
                 self._unrecorded.popleft()
             if not is_pressed and (self.is_waiting or not self._is_recorded):
                 self._change()

@@ -368,7 +368,7 @@ class Report:
             step = {"seconds": round(seconds, 3)}
             self._steps.append(Act(now_ns, "the gateway", "clock_step", arguments=step, outcome="done"))
         while self._steps:
-            self._store.begin_act(self._steps[0], within_s=0)
+            self._store.begin_act(self._steps[0])
             self._steps.popleft()
 
 

@@ -159,7 +159,7 @@ def ask_again(store: Store, press_ids: Iterable[str], who: str, time_ns: int) ->
     asked = [press_id for press_id in press_ids if press_id not in known]
     for press_id in asked:
         act = Act(time_ns, who, ASK_AGAIN, arguments={"press_id": press_id}, outcome="done")
-        store.begin_act(act, 0)
+        store.begin_act(act)
     return (
         f"the station asks once more what {', '.join(asked)} {'is' if len(asked) == 1 else 'are'}"
         if asked

@@ -299,15 +299,18 @@ class Store:
         one, or at the next start. Never raises."""
         self._counts.set_uncounted(serial, presses)
 
-    def begin_act(self, act: act_table.Act, within_s: float) -> tuple[int, act_table.Act | None]:
+    def begin_act(
+        self, act: act_table.Act, within_s: float | None = None
+    ) -> tuple[int, act_table.Act | None]:
         """Record that this is being done, and return its number; or the same request, when it was done before.
 
-        The same: with the same signature, or of the same verb and transaction id within this time of running.
+        The same: with the same signature, or of the same verb and transaction id within this time of running. None
+        where it is done, or refused, whatever was before.
         """
         with self._database.writing(f"recording the request '{act.verb}'") as connection:
             now_ns = self._running.store(connection)
             known = None
-            if act.request is not None and act.outcome is None:
+            if act.request is not None and within_s is not None:
                 after_ns = now_ns - int(within_s * 1e9)
                 known = act_table.earlier(connection, act.verb, act.request, act.signature, after_ns)
             return (known.act_id, known) if known else (act_table.begin(connection, act, now_ns), None)

@@ -117,9 +117,9 @@ def test_acts_are_read_from_the_same_file(database: Path) -> None:
     """A station's database is not next to its configuration where a service runs it. An act that makes something has
     no before, and what it made is there."""
     with Store(database) as store:
-        store.begin_act(Act(T0, "shift leader", "trigger", outcome="done"), within_s=0)
+        store.begin_act(Act(T0, "shift leader", "trigger", outcome="done"))
         made = Act(T0, "the gateway", "snapshot", outcome="done", after={"frames": 175})
-        store.begin_act(made, within_s=0)
+        store.begin_act(made)
 
     when = "2026-05-29 05:26:40+09:00"
     lines = f"{when}  snapshot  done  for the gateway  frames: 175\n{when}  trigger  done  for shift leader\n"

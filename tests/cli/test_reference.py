@@ -144,7 +144,7 @@ def wish(piece: str | None = "M1") -> ReferenceRequest:
 def acted(store: Store, outcome: str, sentence: str | None = None) -> None:
     take(store)
     act = Act(T0, "kim", "reference_press", "r1", outcome=outcome, sentence=sentence)  # type: ignore[arg-type]
-    store.begin_act(act, within_s=0)
+    store.begin_act(act)
 
 
 def test_a_press_that_is_asked_for_is_waited_for(database: Path) -> None:

@@ -355,7 +355,7 @@ def test_a_press_that_a_person_spoke_of_outlives_the_others(configure: Configure
     with SteppedStation(config) as station:
         station.play_presses(1)
         given = {"press_id": station.results[0].press_id, "verdict": "good"}
-        station.parts.store.begin_act(Act(1, "pedal", CONFIRM, None, given, outcome="done"), 0)
+        station.parts.store.begin_act(Act(1, "pedal", CONFIRM, None, given, outcome="done"))
         station.play()
     ids = [one.press_id for one in station.results]
 
@@ -369,7 +369,7 @@ def test_a_word_of_nothing_stops_no_press(configure: Configure) -> None:
     with SteppedStation(configure()) as station:
         station.play_presses(1)
         for given, outcome in product(words, outcomes):
-            station.parts.store.begin_act(Act(1, "anybody", CONFIRM, None, given, outcome=outcome), 0)
+            station.parts.store.begin_act(Act(1, "anybody", CONFIRM, None, given, outcome=outcome))
         station.play()
 
     assert len(station.results) == 3

@@ -281,7 +281,7 @@ def test_what_was_said_long_ago_takes_the_loop_no_time(played: SteppedStation) -
     for words in (30, 270):
         given = {"press_id": press_id, "verdict": "good"}
         for time_ns in range(words):
-            store.begin_act(Act(time_ns, "pedal", CONFIRM, None, given, outcome="done"), 0)
+            store.begin_act(Act(time_ns, "pedal", CONFIRM, None, given, outcome="done"))
         since_ns = time.time_ns()
         with count_steps(connection_of(store)) as counted:
             assert store.read("counting", partial(read_verdicts, since_ns=since_ns)) == {}
@@ -559,7 +559,7 @@ def test_a_word_counts_when_its_act_is_complete(played: SteppedStation) -> None:
     store, now_ns = played.parts.store, played.clock.time_ns()
     asked = played.said("questions")["presses"][0]["press_id"]
     slow, _ = store.begin_act(Act(now_ns, "kim", CONFIRM, "1", {"press_id": asked, "verdict": "good"}), 0)
-    store.begin_act(Act(now_ns, "lee", "trigger", "2", {}, outcome="done"), 0)
+    store.begin_act(Act(now_ns, "lee", "trigger", "2", {}, outcome="done"))
     played.clock.sleep(60)
     settle(played)
     assert asked in [one["press_id"] for one in played.said("questions")["presses"]]

@@ -47,7 +47,7 @@ def say(station: SteppedStation, words: Mapping[int, str], person: str = "kim") 
     for number, word in words.items():
         given = {"press_id": station.results[number].press_id, "verdict": word}
         act = Act(1, f"{person}, at the page", CONFIRM, None, given, outcome="done")
-        station.parts.store.begin_act(act, 0)
+        station.parts.store.begin_act(act)
 
 
 def test_a_shadow_is_heard_and_decides_nothing(shadowed: Shadowed, tmp_path: Path, bundle: Path) -> None:
@@ -190,7 +190,7 @@ def test_a_takeover_is_an_alarm_until_somebody_acknowledges_it(
         again.turn()
         after_restart = again.alarm("takeover")
         act = Act(1, "kim, at the page", "acknowledge_alarm", None, {"alarm": "takeover"}, outcome="done")
-        again.parts.store.begin_act(act, 0)
+        again.parts.store.begin_act(act)
     with SteppedStation(config) as last:
         last.turn()
         acknowledged = last.alarm("takeover")
@@ -345,7 +345,7 @@ def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
     blind = learnt("blind", four, lenient)
     with SteppedStation(shadowed(bundle, blind)) as later:
         given = {"press_id": ids[2], "verdict": "damaged"}
-        later.parts.store.begin_act(Act(1, "kim, at the page", CONFIRM, None, given, outcome="done"), 0)
+        later.parts.store.begin_act(Act(1, "kim, at the page", CONFIRM, None, given, outcome="done"))
         later.play_presses(1)
         with pytest.raises(ValueError, match="does not take over") as refused:
             adopt(later)

@@ -49,7 +49,7 @@ def shift(path: Path) -> Head:
                 )
         number, _ = store.begin_act(Act(T0, "a person", "relearn", arguments={"x": 0.5}), 60)
         store.finish_act(number, "done", None, {"state": "a"}, {"state": "b"})
-        store.begin_act(Act(T0, "somebody", "relearn", outcome="refused", sentence="no"), 60)
+        store.begin_act(Act(T0, "somebody", "relearn", outcome="refused", sentence="no"))
         return store.ledger_head()
 
 
@@ -72,7 +72,7 @@ def test_links_and_acts_are_numbered_once(used: Path) -> None:
     with Store(used) as store:
         store.replace_gel("S-1", T0)
         for outcome in (None, "done", "refused"):
-            number, _ = store.begin_act(Act(T0, "a person", "relearn", outcome=outcome), 60)
+            number, _ = store.begin_act(Act(T0, "a person", "relearn", outcome=outcome))
             assert execute(used, "SELECT max(act_id) FROM acts") == [(number,)]
     links = "SELECT count(*) FROM ledger_chain WHERE kind = 'gel' GROUP BY ref ORDER BY min(link)"
 
@@ -261,7 +261,7 @@ def test_acts_that_go_leave_a_sound_chain(used: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(acts, "KEPT_ACTS", 3)
     with Store(used) as store:
         for n in range(8):
-            store.begin_act(Act(T0 + n, "x", "clock_step", outcome="done"), 0)
+            store.begin_act(Act(T0 + n, "x", "clock_step", outcome="done"))
     kept = [row[0] for row in execute(used, "SELECT act_id FROM acts WHERE outcome = 'done'")]
 
     assert len(kept) == 3
@@ -277,9 +277,9 @@ def test_what_a_line_does_with_each_part_pushes_out_nothing_that_a_person_did(
     monkeypatch.setattr(acts, "KEPT_ACTS", 3)
     with Store(used) as store:
         store.replace_gel(SERIAL, T0, act=Act(T0, "x", "replace_gel", outcome="done"))
-        store.begin_act(Act(T0, "ann, at the page", "select_part", outcome="done"), 0)
+        store.begin_act(Act(T0, "ann, at the page", "select_part", outcome="done"))
         for n in range(8):
-            store.begin_act(Act(T0 + n, "the plan of the piece", "select_part", outcome="done"), 0)
+            store.begin_act(Act(T0 + n, "the plan of the piece", "select_part", outcome="done"))
     kept = [row[0] for row in execute(used, "SELECT who FROM acts WHERE verb = 'select_part'")]
 
     assert kept == ["ann, at the page", *["the plan of the piece"] * 3]
@@ -304,7 +304,7 @@ def test_ten_thousand_refused_requests_are_kept(used: Path) -> None:
     execute(used, f"{acts_of}{rows}SELECT i, i, 'x', 'trigger', '{{}}', 'refused' FROM n")
     with Store(used) as store:
         for n in range(100):
-            store.begin_act(Act(T0 + n, "x", "trigger", outcome="refused"), 0)
+            store.begin_act(Act(T0 + n, "x", "trigger", outcome="refused"))
     ((kept,),) = execute(used, "SELECT count(*) FROM acts WHERE outcome = 'refused'")
     assert 10_000 <= kept <= 10_100
 

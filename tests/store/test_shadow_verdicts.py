@@ -15,6 +15,6 @@ PRESS_ID = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
 def test_a_damage_of_a_press_older_than_the_history_is_not_forgotten(store: Store) -> None:
     """Its part is not known any more, so it may be of this one."""
     given = {"press_id": PRESS_ID, "verdict": "damaged"}
-    store.begin_act(Act(T0, "kim, at the page", CONFIRM, None, given, outcome="done"), 0)
+    store.begin_act(Act(T0, "kim, at the page", CONFIRM, None, given, outcome="done"))
     read = partial(read_judged_twice, part=PartPosition("bolt", None), bundle_id="b", beside="a")
     assert store.read("reading", read) == ([], [Unjudged(PRESS_ID, "", None, "damaged")])

@@ -67,7 +67,7 @@ class Judged:
         with Store(self.database) as store:
             for number, word in words.items():
                 given = {"press_id": self.ids[number], "verdict": word}
-                store.begin_act(Act(1, f"{person}, at the page", CONFIRM, None, given, outcome="done"), 0)
+                store.begin_act(Act(1, f"{person}, at the page", CONFIRM, None, given, outcome="done"))
 
 
 @pytest.fixture(scope="session")

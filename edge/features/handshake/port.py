@@ -127,5 +127,5 @@ class Port:
         """Record what was refused since the last call, for the loop: no PLC waits for the database. Errors: StoreError;
         then it goes on waiting."""
         while self._unrecorded:
-            self._store.begin_act(self._unrecorded[0], 0)
+            self._store.begin_act(self._unrecorded[0])
             self._unrecorded.popleft()

@@ -211,7 +211,7 @@ class Outputs(PressStage):
             return
         given = {"press_id": self._recorded_id, "verdict": saying}
         try:
-            store.begin_act(Act(self._clock.time_ns(), "pedal", CONFIRM, None, given, outcome="done"), 0)
+            store.begin_act(Act(self._clock.time_ns(), "pedal", CONFIRM, None, given, outcome="done"))
         except StoreError as error:
             log.error("what a pedal says of press %s is not kept: %s", self._recorded_id, error)
 
