@@ -90,6 +90,7 @@ class PersonVerdicts(PressStage):
         self._shown: tuple[object, ...] | None = None
         self._escapes: Sentence | None = None
         self._day: date | None = None
+        self._had_gel = False
         self._next_look_ns = 0
         self._mounted: Mounted | None = None
 
@@ -110,10 +111,10 @@ class PersonVerdicts(PressStage):
         is_new_word = acts != self._acts
         if is_new_word or self._escapes:
             self._say_escapes()
-        today = local_day(self._clock.time_ns())
+        today, has_gel = local_day(self._clock.time_ns()), mounted is not None
         # Also where nobody is asked: people may speak at a pedal, or over MQTT.
-        if self._read() or is_new_word or today != self._day:
-            self._day = today
+        if self._read() or is_new_word or (today, has_gel) != (self._day, self._had_gel):
+            self._day, self._had_gel = today, has_gel
             self._ask(today, mounted)
         self._acts = acts
 
