@@ -251,3 +251,10 @@ def test_what_cannot_be_is_refused() -> None:
         second_verdict(Verdict.rejected(Rejection(Reason.BLACK, Sentence("no light"))), 1.5, None, NARROW)
     with pytest.raises(ValueError, match="no place"):
         score_both(seen([1.0], [False]), seen([1.0], [False]))
+
+
+def test_damage_at_the_threshold_passes_and_is_no_damage_above_it() -> None:
+    sound = tuple((0.1 * n, 0.1 * n + 0.05) for n in range(1, 9))
+    at, above = (plan(KnownScores(sound, ((score,),)), 1.0, ALPHA, COSTS) for score in (1.0, 1.01))
+    assert at.why.startswith("no rendered damage of the fit lies above the threshold")
+    assert not above.why.startswith("no rendered damage")

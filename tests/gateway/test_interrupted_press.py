@@ -10,7 +10,7 @@ import pytest
 from ball_frames import FPS, PROFILE, frames
 
 from edge.clock import ManualClock
-from edge.core.contact.events import PressBegan
+from edge.core.contact.events import PressBegan, ReferenceReady
 from edge.core.contact.press_detector import PressDetector
 from edge.features.sensing_watch import SensingWatch
 from edge.store.press_store import Store
@@ -163,3 +163,19 @@ def test_a_picture_that_comes_and_goes_is_said_with_what_it_shows_meanwhile(tmp_
             (said,) = alarms.set_blind.call_args.args
             assert words in said
             assert "its picture is black" in said
+
+
+def test_a_free_gel_that_is_learnt_again_and_not_seen_at_rest_is_an_alarm_again(tmp_path: Path) -> None:
+    """As after another gel was mounted: after 15 s that began with it."""
+    look = [PressDetector(PROFILE).feed(frame) for frame in frames(FREE)][-1]
+    said = list[str | None]()
+    with Store(tmp_path / "gelgate.db") as store:
+        watch = SensingWatch(Mock(say=lambda _, text, severity: said.append(text)), store, ManualClock())
+        watch.see(ReferenceReady(0))
+        for seconds in (0, 16, 17, 31, 33):
+            if seconds == 17:
+                watch.relearn()
+            at_ns = seconds * 10**9
+            sight = Mock(lost=None, seen_ns=at_ns)
+            watch.look(replace(look, timestamp_ns=at_ns, sight=sight))
+    assert ["not seen at rest" in (text or "") for text in said] == [False, False, False, False, True]

@@ -81,6 +81,13 @@ def references(value: Any) -> list[str]:
     return own + [reference for one in inner for reference in references(one)]
 
 
+def test_every_message_of_fields_is_summed_up_in_a_line(described: dict[str, Any]) -> None:
+    """That of its class."""
+    messages = described["components"]["messages"]
+    lines = [one["summary"] for one in messages.values() if "$ref" in one["payload"]]
+    assert all(line.strip() and "\n" not in line for line in lines)
+
+
 def test_every_topic_has_a_channel_with_its_delivery(described: dict[str, Any]) -> None:
     """QoS and retention are those of the manual; verbs that are served have a channel each. Alarms are named."""
     delivery = {}
