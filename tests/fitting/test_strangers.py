@@ -177,6 +177,15 @@ def test_a_press_without_a_name_is_of_the_piece_that_it_is_the_same_as(again: Pr
     assert found == ["1"] * 4
 
 
+@pytest.mark.parametrize("light", [0.97, 1.03, 1.1])
+def test_the_same_press_under_more_or_less_light_is_of_the_same_piece(light: float) -> None:
+    """A lamp warms up between two pictures of one press; learnt by the one, a bank knows the other."""
+    views = [small_view(press(1)), small_view(press(2)), small_view((same(2) * light).astype(np.uint8))]
+    (said,), found = find_repeated(list("abc"), views, [None] * 3)
+    assert said.startswith("1 of 3 presses ('c') are the same as another, but for noise or light: ")
+    assert found == ["a", None, "a"]
+
+
 def test_of_many_presses_those_that_differ_at_one_place_are_told_apart() -> None:
     """Most are told apart by a few places; these two only by all."""
     rng = np.random.default_rng(3)

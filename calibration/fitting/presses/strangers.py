@@ -31,7 +31,7 @@ _FEWEST, _WITNESSES = 3, 16
 # turned 20 and more, one of another unit 8 and more.
 _STRANGE_LEVELS, _STRANGE_TIMES = 6.0, 3.0
 # Two presses of one part in a fixture differ by 2.8 levels and more at some place of 0.4 mm, two frames of one press by
-# 1.1, a copy that was compressed again by 1.
+# 1.1, under 3 or 10 % more light too once that is taken out, a copy that was compressed again by 1 to 2.3.
 _SAME_LEVELS, _PLACE_PX = 2.0, 1.5
 _COARSE = 4
 # In a film frames differ from the next one by less than this share of what any two do, in the mean, and this share of
@@ -214,7 +214,7 @@ def merge_copies(
 def find_repeated(
     names: Sequence[str], views: Sequence[U8], pieces: Sequence[str | None]
 ) -> tuple[list[str], list[str | None]]:
-    """Name the presses that differ from another by noise alone; not its exact copies. views: as above.
+    """Name the presses that differ from another by noise or light alone; not its exact copies. views: as above.
 
     Returns the pieces too, None where unknown: copies, and presses that are the same without another piece's name, are
     of one piece, so that none is held out while another is learnt.
@@ -223,7 +223,7 @@ def find_repeated(
     if not views:
         return same, merged_pieces
     named_first = sorted(range(len(views)), key=lambda k: pieces[k] is None)
-    broad = np.stack(_blur(views))[named_first]
+    broad = _take_out_light(np.stack(_blur(views)))[named_first]
     few = broad[:, ::_COARSE, ::_COARSE].reshape(len(broad), -1)  # two that differ here are not the same
     for place, k in enumerate(named_first):
         near = np.flatnonzero(np.abs(few[:place] - few[place]).max(axis=1) < _SAME_LEVELS).tolist()
@@ -238,8 +238,8 @@ def find_repeated(
     if not same:
         return [], merged_pieces
     return [
-        f"{list_names(same, len(names))} are the same as another, but for noise: they teach nothing, and count "
-        "as one piece where no other is named; give each press once"
+        f"{list_names(same, len(names))} are the same as another, but for noise or light: they teach nothing, and "
+        "count as one piece where no other is named; give each press once"
     ], merged_pieces
 
 
@@ -299,6 +299,12 @@ def _blur(views: Sequence[U8]) -> list[F32]:
     """Blur views a little, and take every second pixel, so that noise is small."""
     blurred = (cv2.GaussianBlur(view.astype(np.float32), (0, 0), _PLACE_PX) for view in views)
     return [np.asarray(one[::2, ::2], np.float32) for one in blurred]
+
+
+def _take_out_light(views: F32) -> F32:
+    """Bring views (n, h, w, 3) to one mean of each colour, as one lamp of another strength would."""
+    means = np.maximum(views.mean(axis=(1, 2), keepdims=True), 1)
+    return np.asarray(views * (np.median(means, axis=0) / means), np.float32)
 
 
 def _levels(view: U8, others: Sequence[U8]) -> F64:
