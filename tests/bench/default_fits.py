@@ -228,6 +228,7 @@ def measure(fitted: Fitted, masks: NDArray[np.bool_], seen: Scores) -> dict[str,
         "found": limit.get("found", {}).get(limit["kind"]),
         "is_registered": fitted.bundle().registration is not None,
         "has_dots": manifest.dots is not None,
+        "has_pieces": 1 < (manifest.threshold.pieces or 0) < len(manifest.threshold.nominal_scores),
         "warnings": list(manifest.provenance.warnings),
     }
 

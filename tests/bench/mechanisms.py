@@ -16,13 +16,14 @@ from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import open_trunk
 from edge import registry
 
-FREE_GEL, REGISTRATION, SURROUNDINGS, DOTS, SMOOTHING, TRUNK = MECHANISMS = (
+FREE_GEL, REGISTRATION, SURROUNDINGS, DOTS, SMOOTHING, TRUNK, PIECES = MECHANISMS = (
     "free gel",
     "registration",
     "surroundings",
     "dots filled",
     "smoothing",
     "tactile_lite0",
+    "limit by piece",
 )
 """What a fit can be measured without."""
 
@@ -33,6 +34,7 @@ USES: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
     DOTS: lambda row: bool(row["has_dots"]),
     SMOOTHING: lambda row: True,
     TRUNK: lambda row: row["trunk"] == "tactile_lite0",
+    PIECES: lambda row: bool(row["has_pieces"]),
 }
 """Whether the complete fit of a row uses it, by name."""
 
@@ -60,6 +62,8 @@ def fit_with(parts: Collection[str], presses: NominalPresses, method: str, backb
     if FREE_GEL not in parts:
         unknown = {"touches": (), "guessed": (), "touched": None, "no_contact": None, "free_view": None}
         presses = replace(presses, **unknown)
+    if PIECES not in parts:
+        presses = replace(presses, specimens=())
     detector = registry.detector(method)
     trunk = open_trunk(
         backbone if TRUNK in parts else "tactile_resnet18", detector.taps(detector.parameters())
