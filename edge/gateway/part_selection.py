@@ -174,9 +174,8 @@ class PartSelection:
         before = self._wanted
         self._wanted, self._why = self.bundles[part].part, why
         try:
-            if (
-                self._wanted != before and not self.is_waiting
-            ):  # what waited is taken back: that is selected now
+            if self._wanted != before and not self.is_waiting:
+                # What waited is taken back: that is selected now.
                 self._change()
             self.step(is_pressed=is_pressed)
         except StoreError:

@@ -217,9 +217,8 @@ def page_requests(station: BrokerStation, secret: bytes, clock: Clock) -> PageRe
         return CommandResponse.of(clock.time_ns(), verb, error).encode()
 
     def do(verb: str, payload: bytes) -> bytes:
-        if (
-            verb not in VERBS
-        ):  # the secret opens all that the station serves signed, the page's token does not
+        # The secret opens all that the station serves signed, the page's token does not.
+        if verb not in VERBS:
             return answer(verb, f"this page has no request '{verb:.64}'; ask the station itself")
         try:
             asked = CommandRequest.model_validate_json(payload)
