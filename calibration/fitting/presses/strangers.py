@@ -223,7 +223,8 @@ def find_repeated(
     if not views:
         return same, merged_pieces
     named_first = sorted(range(len(views)), key=lambda k: pieces[k] is None)
-    broad = _take_out_light(np.stack(_blur(views)))[named_first]
+    blurred = np.stack(_blur(views))[named_first]
+    broad = _take_out_light(blurred)
     few = broad[:, ::_COARSE, ::_COARSE].reshape(len(broad), -1)  # two that differ here are not the same
     for place, k in enumerate(named_first):
         near = np.flatnonzero(np.abs(few[:place] - few[place]).max(axis=1) < _SAME_LEVELS).tolist()
@@ -231,7 +232,7 @@ def find_repeated(
         nearest = min(away, key=away.__getitem__, default=None)
         if nearest is None or not away[nearest] < _SAME_LEVELS:
             continue
-        first, is_copy = named_first[nearest], away[nearest] == 0
+        first, is_copy = named_first[nearest], np.array_equal(blurred[place], blurred[nearest])
         same += [] if is_copy else [names[k]]
         if is_copy or merged_pieces[k] is None:
             merged_pieces[first] = merged_pieces[k] = merged_pieces[first] or names[first]
