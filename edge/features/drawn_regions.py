@@ -10,6 +10,7 @@ import sys
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Final, NamedTuple, Self
 
@@ -26,7 +27,8 @@ from edge.model.bundle import Bundle
 from edge.model.bundle_writer import replace_bundle
 from edge.model.inspector import Inspector
 from edge.model.trial import try_bundle
-from edge.press_stage import Command, Data, PressStage, Selection, StageParts
+from edge.press_stage import Command, Data, PressStage, StageParts
+from edge.store import gel_proofs
 
 __all__ = ["DrawnRegionsStage"]
 
@@ -65,18 +67,19 @@ class _Seen(NamedTuple):
 
 
 class DrawnRegionsStage(PressStage):
-    """Remembers how presses lay, and makes new revisions. may_sign: False where only signed bundles are used."""
+    """Remembers how presses lay, and makes new revisions."""
 
-    def __init__(
-        self, selection: Selection, post: Callable[[Callable[[], None]], None], *, may_sign: bool
-    ) -> None:
-        self._selection, self._post, self._may_sign = selection, post, may_sign
+    def __init__(self, parts: StageParts) -> None:
+        self._selection, self._post = parts.selection, parts.post
+        self._store, self._clock = parts.store, parts.clock
+        # Only signed bundles are used where a signature is required, and a station cannot sign.
+        self._may_sign = parts.config.inspection.signed != "required"
         self._seen: OrderedDict[str, _Seen] = OrderedDict()
         self._drawing = threading.Lock()
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
-        return cls(parts.selection, parts.post, may_sign=parts.config.inspection.signed != "required")
+        return cls(parts)
 
     def keep(self, press: Press, inspector: Inspector) -> Press:
         """Remember how it lay."""
@@ -143,18 +146,25 @@ class DrawnRegionsStage(PressStage):
             old = path.with_name(f".{path.stem}.{before.digest[:12]}{path.suffix}")
             _run(["bundle", "regions", str(path), *change, "-o", str(new), "--overwrite", "--threads", "1"])
             try_bundle(new, threads=1)
-            made = Bundle.load(new, loaded=trunk).manifest
+            made = Bundle.load(new, loaded=trunk)
+            self._inherit_proofs(before.digest, made.digest)
             _exchange(path, new, old)
         finally:
             self._drawing.release()
         self._post(self._selection.reload)
-        drawn = made.regions
+        drawn = made.manifest.regions
         return {
-            "revision": made.revision,
+            "revision": made.manifest.revision,
             "regions": [region.name for region in drawn.regions] if drawn else [],
             "said": (drawn and drawn.describe()) or "no region is drawn any more",
             "kept": str(old),
         }
+
+    def _inherit_proofs(self, old_id: str, new_id: str) -> None:
+        """Say of the new revision on each gel what is known of the old one: a drawing proves nothing there, and takes
+        no proof away. Errors: StoreError."""
+        change = partial(gel_proofs.inherit, old_id=old_id, new_id=new_id, time_ns=self._clock.time_ns())
+        self._store.write("taking the proofs of a bundle over to its drawn regions", change)
 
     commands = (
         Command(

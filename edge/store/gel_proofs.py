@@ -21,6 +21,7 @@ __all__ = [
     "GelBundle",
     "count",
     "find",
+    "inherit",
     "of_mounted",
     "prove",
     "prove_by_words",
@@ -71,6 +72,17 @@ def see(
         (*key, *part, None if proof.proven is None else proof.proven.value, proof.known_from, time_ns),
     )
     return proof
+
+
+def inherit(connection: sqlite3.Connection, old_id: str, new_id: str, time_ns: int) -> None:
+    """Take what is known of a bundle on each gel over to a revision of it that alarms no more often than it."""
+    connection.execute(
+        "INSERT OR IGNORE INTO gel_proofs "
+        "(serial, gel_id, bundle_id, part, position, proven, known_from, presses, alarms, time_ns) "
+        "SELECT serial, gel_id, ?, part, position, proven, known_from, presses, alarms, ? FROM gel_proofs "
+        "WHERE bundle_id = ?",
+        (new_id, time_ns, old_id),
+    )
 
 
 def used_since(connection: sqlite3.Connection, key: GelBundle) -> int | None:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -18,12 +19,14 @@ from command_line import gelgate
 from station import Motion, mark_tried, press_recording, station_config, variant
 from stepped_station import SteppedStation
 
+from edge.core.gel_proof import GelProof, Proven
 from edge.core.press import Press
 from edge.core.registration.pose import Pose
 from edge.features import drawn_regions
 from edge.features.drawn_regions import MOST_REMEMBERED, DrawnRegionsStage, SetRegionsArguments
 from edge.model.bundle import Bundle
 from edge.pictures.image_file import texts
+from edge.store.gel_proofs import GelBundle, find
 
 DENT = [[4.4, 3.8], [8.6, 3.8], [8.6, 8.1], [4.4, 8.1]]
 """Around the film's dent, and the cells of the map that it reaches; mm."""
@@ -117,6 +120,24 @@ def test_a_region_is_drawn_seen_and_removed(
     assert station.said("info")["region_names"] == []
 
 
+@pytest.mark.parametrize(
+    ("proven", "known_from"), [(None, "it was used on gel 1"), (Proven.PRESSES, "it was made on 2025-01-01")]
+)
+def test_a_drawing_proves_nothing_on_a_gel_and_takes_no_proof_away(
+    station: SteppedStation, tmp_path: Path, proven: Proven | None, known_from: str
+) -> None:
+    """The revision is another bundle by its id, and would be proven as one that is used first."""
+    path, store = tmp_path / "bundles" / "pz0", station.parts.store
+    change = "UPDATE gel_proofs SET proven = ?, known_from = ?, presses = 7, alarms = 2"
+    store.write("a test's proof", lambda connection: connection.execute(change, (proven, known_from)))
+
+    draw(station, add="logo", points_mm=DENT, press_id=newest(station))
+
+    gel = store.read("a gel", lambda it: it.execute("SELECT serial, gel_id FROM gels").fetchone())
+    key = GelBundle(*gel, Bundle.load(path).digest)
+    assert store.read("a proof", partial(find, key=key)) == GelProof(proven, known_from, 7, 2)
+
+
 def test_who_draws_before_the_first_revision_loses_neither(station: SteppedStation, tmp_path: Path) -> None:
     """Both regions are in the third revision, and each revision before stays under its own name."""
     first, press = Bundle.load(tmp_path / "bundles" / "pz0").digest, newest(station)
@@ -204,7 +225,9 @@ def test_what_cannot_be_drawn_is_a_sentence_and_the_bundle_stays(
 
 def test_a_station_of_signed_bundles_draws_none(station: SteppedStation) -> None:
     """It has no key."""
-    stage = DrawnRegionsStage(station.parts.selection, lambda call: None, may_sign=False)
+    parts = Mock(selection=station.parts.selection)
+    parts.config.inspection.signed = "required"
+    stage = DrawnRegionsStage(parts)
     wish = drawn_regions.SetRegionsArguments(remove="logo")
     with pytest.raises(ValueError, match="signed bundles alone, and cannot sign"):
         stage._set(wish)
@@ -325,7 +348,7 @@ PRESS_ID = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
 def test_corners_on_a_part_that_lay_elsewhere_are_brought_to_the_bank(bundle: Path) -> None:
     """Pixel 10, 20 of the press is pixel 7, 20 of the bank, where the part lay 3 pixels to the right."""
     used = Bundle.load(bundle)
-    stage = DrawnRegionsStage(Mock(), Mock(), may_sign=True)
+    stage = DrawnRegionsStage(Mock())
     h, w = used.manifest.frame
     placed = Mock(pose=Pose(3.0, 0.0))
     press = Press(score_map=np.zeros((h, w), np.float32), registered=placed, press_id=PRESS_ID)
