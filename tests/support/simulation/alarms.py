@@ -118,8 +118,9 @@ def _takes_no_file(world: World, station: Station) -> bool:
 
 
 def _is_newest_judged(station: Station, since_ns: int) -> bool:
-    """The newest press was judged since then, and this life has recorded it."""
-    newest = station.seen[-1] if station.seen and station.config.archive.presses else None
+    """The newest press of a part was judged since then, and this life has recorded it."""
+    kept = (one for one in reversed(station.seen) if one.shown and station.config.archive.presses)
+    newest = next(kept, None)
     is_own = newest is not None and newest.word in ("pass", "fail") and newest.noted_ns > station.began_ns
     return is_own and newest.judged_ns > since_ns
 

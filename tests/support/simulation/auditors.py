@@ -188,7 +188,9 @@ def audit_replay(world: World, station: Station, bundles: Sequence[Path]) -> Ite
                 archive.read(digest, "what it was made from")
             replayed = judge_again(press, archive, again.inspector(press))
         except ArchiveError as error:  # the archive drops, and may be lost with the power
-            own = next(seen for seen in station.seen if seen.press_id == press_id)
+            own = next((seen for seen in station.seen if seen.press_id == press_id), None)
+            if own is None:  # a kill came before it was reported, and its files are written later
+                continue
             # A loop that hangs when it has recorded a press writes its files when it goes on.
             hung = [ended_ns for began_ns, ended_ns in station.hung if began_ns == own.noted_ns]
             written_ns = max([own.noted_ns, *hung])

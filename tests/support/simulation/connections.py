@@ -140,12 +140,17 @@ class Connections:
         for broker in self.brokers.values():
             broker.close()
 
+    @property
+    def can_wait(self) -> bool:
+        """It is the turn of an actor, so that others can take theirs meanwhile."""
+        return getcurrent().parent is not None
+
     def wait(self, is_over: Callable[[], bool], lasts_s: float, poll_s: float = 3600.0) -> None:
         """Wait while others take their turns. Where nobody can, it returns at once. poll_s: it looks again so soon."""
         until_ns, here = self.clock.now_ns + round(lasts_s * S), getcurrent()
         while not (self.is_dead() or self.is_ending):
             self.pump()
-            if is_over() or self.clock.now_ns >= until_ns or here.parent is None:
+            if is_over() or self.clock.now_ns >= until_ns or not self.can_wait:
                 return
             due_ns = max(
                 min(until_ns, self.next_ns(), self.clock.now_ns + round(poll_s * S)), self.clock.now_ns

@@ -310,8 +310,8 @@ class Station:
         self.disk.forget()
 
     def hang(self, where: str) -> None:
-        """Do not go on here for a while, where a fault wants that; the loop calls it."""
-        if self.hangs_in == where and not self.disk.is_dead:
+        """Do not go on here for a while, where a fault wants that; the loop calls it, in a turn of its own."""
+        if self.hangs_in == where and not self.disk.is_dead and self.world.connections.can_wait:
             self.hangs_in, began_ns, given = None, self.world.clock.now_ns, self.world.sensor.given
             self.on_hang()
             self.world.connections.wait(lambda: not self.is_hanging, 3600, poll_s=0.05)
