@@ -255,6 +255,26 @@ def test_no_pass_and_no_lift_come_of_a_turn_that_took_long(
         assert not on(tmp_path) & {1, 2}
 
 
+def test_a_frame_that_waited_shows_no_pass(tmp_path: Path, configure: Make) -> None:
+    """The detector hung, and the sensor is silent since: what waited meanwhile is older than half a second."""
+    slow = Slow("judge")
+    with IoStation(configure(ANDON, pace=1.0), {"slow": slow}) as station:
+
+        def hang(_: float) -> None:
+            slow.clock = ManualClock()  # once
+            station.read(3)
+            station.clock.sleep(0.6)
+
+        slow.clock = Mock(sleep=hang)
+        station.play(1)
+        while not station.reports:
+            station.read(1)
+            station.look()
+        station.switch()
+        assert station.verdicts == ["pass"]
+        assert 1 not in on(tmp_path)
+
+
 def test_a_pass_is_shown_only_when_it_is_recorded_and_a_fail_at_once(tmp_path: Path, configure: Make) -> None:
     """While the database refuses, no press is published as a pass, and no part is lifted; the gate still rejects."""
     config = configure(ANDON.replace('["stopped"], safe = true', '["lift"]'))

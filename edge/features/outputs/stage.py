@@ -55,7 +55,7 @@ class Outputs(PressStage):
         self._awaited_ns: int | None = None
         self._came_ns: int | None = None  # the newest frame, with a time of its own
         self._seen_ns: int | None = None
-        self._taken_ns: int | None = None  # when the loop took the newest frame
+        self._taken_ns: int | None = None  # when the newest frame came, or was made
         self._judged_id: str | None = None
         self._recorded_id: str | None = None
         self._faults: dict[str, dict[str, str]] = {"trigger_device": {}, "actuator": {}}
@@ -143,7 +143,7 @@ class Outputs(PressStage):
 
         A station that does not inspect forgets the verdict, and a pass that is not recorded yet: when it inspects
         again, it has judged nothing yet. While a contact does not end, or the sensor shows nothing, another part may
-        lie on it, and no pass is shown; nor where this turn took so long, until the next frame is looked at. When a
+        lie on it, and no pass is shown; nor while the newest frame is so old, as after a turn that took long. When a
         piece of several places is begun, nothing of the one before is shown.
         """
         now_ns = self._clock.monotonic_ns()
@@ -160,7 +160,7 @@ class Outputs(PressStage):
 
     def take(self, frame: CameraFrame) -> None:
         self._came_ns = None if frame.is_on_demand else frame.timestamp_ns
-        self._taken_ns = self._clock.monotonic_ns()
+        self._taken_ns = self._came_ns or self._clock.monotonic_ns()
 
     def see(self, event: Event) -> None:
         """When a press begins, no verdict of an earlier one is shown any more."""
