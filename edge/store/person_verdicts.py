@@ -28,6 +28,8 @@ __all__ = [
     "read_verdicts",
 ]
 
+# An act of so long of running ends no search, however old it seems: the clock may have been behind, as after a start.
+_BEHIND_NS: Final = 86_400 * 10**9
 
 # What `Commands` adds to a name, which itself may have commas; first what a page of another machine adds, too.
 _WAYS: Final = (
@@ -42,13 +44,17 @@ def read_verdicts(
     connection: sqlite3.Connection, since_ns: int | None = None, press_id: str = ""
 ) -> dict[str, list[PersonVerdict]]:
     """Read what was said of each press by its id, oldest first. since_ns: wall clock; only what was said since then, in
-    a time that does not grow with what was said before. press_id: only of this press."""
+    a time that does not grow with what was said a day of running before. press_id: only of this press."""
     verdicts: dict[str, list[PersonVerdict]] = defaultdict(list)
-    before = "SELECT act_id FROM acts WHERE time_ns < ? ORDER BY act_id DESC LIMIT 1"
+    before = (
+        "SELECT act_id FROM acts WHERE time_ns < :since AND running_ns < "
+        "(SELECT running_ns FROM acts ORDER BY act_id DESC LIMIT 1) - :behind ORDER BY act_id DESC LIMIT 1"
+    )
     rows = connection.execute(
         f"SELECT time_ns, who, arguments FROM acts NOT INDEXED WHERE act_id > coalesce(({before}), 0) "
-        "AND verb = ? AND outcome = 'done' AND instr(arguments, ?) ORDER BY act_id",
-        (since_ns, CONFIRM, press_id),
+        "AND verb = :verb AND outcome = 'done' AND instr(arguments, :press) "
+        "AND (:since IS NULL OR time_ns >= :since) ORDER BY act_id",
+        {"since": since_ns, "behind": _BEHIND_NS, "verb": CONFIRM, "press": press_id},
     )
     for time_ns, who, arguments in rows:
         given = json.loads(arguments)

@@ -283,6 +283,8 @@ def test_what_was_said_long_ago_takes_the_loop_no_time(played: SteppedStation) -
         for time_ns in range(words):
             store.begin_act(Act(time_ns, "pedal", CONFIRM, None, given, outcome="done"))
         since_ns = time.time_ns()
+        execute(store.path, "UPDATE acts SET running_ns = running_ns - 172800000000000")
+        store.begin_act(Act(since_ns, "pedal", "begin_piece", outcome="done"))
         with count_steps(connection_of(store)) as counted:
             assert store.read("counting", partial(read_verdicts, since_ns=since_ns)) == {}
         steps.append(len(counted))
@@ -293,6 +295,17 @@ def test_what_was_said_long_ago_takes_the_loop_no_time(played: SteppedStation) -
 
     assert steps[2] <= steps[0] + 1
     assert steps[3] <= steps[1] + 1
+
+
+def test_an_act_under_a_clock_that_is_behind_ends_no_word(played: SteppedStation) -> None:
+    """As after a start without a battery of the clock: what was said an hour ago was said on the last day."""
+    store, press_id, now_ns = played.parts.store, played.results[0].press_id, time.time_ns()
+    given = {"press_id": press_id, "verdict": "damaged"}
+    store.begin_act(Act(now_ns - 3600 * 10**9, "pedal", CONFIRM, None, given, outcome="done"))
+    store.begin_act(Act(now_ns - 30 * 86_400 * 10**9, "pedal", "begin_piece", outcome="done"))
+    since_ns = now_ns - 86_400 * 10**9
+    assert list(store.read("reading", partial(read_verdicts, since_ns=since_ns))) == [press_id]
+    assert store.read("reading", partial(read_verdicts, since_ns=now_ns)) == {}
 
 
 def test_at_most_the_configured_number_is_asked_on_a_day(configure: Configure) -> None:
@@ -498,7 +511,8 @@ def test_what_is_asked_once_more_is_found_without_reading_all_that_was_said(play
     execute(
         store.path,
         "WITH RECURSIVE n (i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 5000) "
-        "INSERT INTO acts (time_ns, running_ns, who, verb, arguments, outcome) SELECT i - 1000000000000000, i, 'kim', "
+        "INSERT INTO acts (time_ns, running_ns, who, verb, arguments, outcome) "
+        "SELECT i - 1000000000000000, i - 172800000000000, 'kim', "
         "'confirm_press', json_object('press_id', printf('01J%023d', i), 'verdict', 'good'), 'done' FROM n",
     )
     settle(played)
