@@ -41,7 +41,7 @@ BY_OTHERS = (
         "        if self.is_halted and self.session is not None:\n"
         "            parts.store.note_uncounted(self.session.gel.serial, self.session.unrecorded)\n",
         "",
-        "presses more than rows",
+        "presses more than rows|were lost, and no alarm says so",
     ),
     # operations.md: 'Another port is fine, another sensor during a run is refused'; wear is counted on the
     # other's gel.
