@@ -382,7 +382,8 @@ def judge_presses(
     for k, press in enumerate(every):
         report("archived presses", k / len(every))
         # A running station removes the oldest of the others meanwhile.
-        with suppress(*() if k < len(kept) else (ArchiveError,)):
+        may_lack = () if k < len(kept) else (ArchiveError,)
+        with suppress(*may_lack):
             judged[press.press_id] = judge_as_then(press, archive, inspector).drop_pictures()
     report("archived presses", 1.0)
     return judged

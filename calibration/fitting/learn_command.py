@@ -88,20 +88,9 @@ def learn(given: LearnArguments) -> None:
     manifest, database = old.manifest, database_path(given.config, given.database)
     confirmed = _read_words(database, PartPosition(manifest.part, manifest.position), old)
     config = configure_again(old, given.alpha, given.threads, given.gel)
-    with tempfile.TemporaryDirectory() as folder:
-        pictures = Path(folder) / "confirmed"
-        presses = read_again(
-            old,
-            given.sources,
-            more=write_pictures(confirmed.good, pictures),
-            no_contact=given.no_contact,
-            leave_out=given.leave_out or (),
-        )
-    unjudged = {press.press.press_id: press.unjudged for press in confirmed.good}
-    presses = leave_out_places(join_pieces(presses, confirmed.good), unjudged)
+    presses, learnt = _read_presses(given, old, confirmed)
     _warn_without_gel(old, presses)
     warn_of_lost(old)
-    learnt = [k for k, name in enumerate(presses.names) if name.startswith(f"{pictures.name}/")]
     typer.echo(f"{write_count(len(presses), 'nominal press')}, {len(learnt)} of them from the station")
 
     # Of a gel on which the bundle is not proven the first presses all stand apart, and have to be learnt.
@@ -138,6 +127,24 @@ def learn(given: LearnArguments) -> None:
 
     make(fit_and_check, given.output, given.overwrite)
     typer.echo(WAY_ON)
+
+
+def _read_presses(
+    given: LearnArguments, old: Bundle, confirmed: ConfirmedPresses
+) -> tuple[NominalPresses, list[int]]:
+    """Read the nominal presses and those that people call good; returns the numbers of the latter too."""
+    with tempfile.TemporaryDirectory() as folder:
+        pictures = Path(folder) / "confirmed"
+        presses = read_again(
+            old,
+            given.sources,
+            more=write_pictures(confirmed.good, pictures),
+            no_contact=given.no_contact,
+            leave_out=given.leave_out or (),
+        )
+    unjudged = {press.press.press_id: press.unjudged for press in confirmed.good}
+    presses = leave_out_places(join_pieces(presses, confirmed.good), unjudged)
+    return presses, [k for k, name in enumerate(presses.names) if name.startswith(f"{pictures.name}/")]
 
 
 def _teach_lost(
