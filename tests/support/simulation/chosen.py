@@ -110,8 +110,8 @@ FAMILIES = (
     ),
     Family({OVERVIEW: 12}, {"features": (OVERVIEW,), "presses": 40}),
     Family(
-        {"hang up": 15, "stop": 8},
-        {"outbox_mb": PICTURES_MB, "presses": 30, "brokers": 1, "moods": ("away",)},
+        {"hang up": 15, "stop": 20},
+        {"outbox_mb": PICTURES_MB, "presses": 40, "brokers": 1, "moods": ("away",)},
     ),
     Family({"silence": 10, "unplug": 5, "stop": 6, "request": 40}, {"has_page": True}),
     Family(
