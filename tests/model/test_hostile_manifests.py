@@ -117,7 +117,18 @@ def test_a_zip_bomb_is_read_up_to_the_size_in_the_manifest(folder: Path, tmp_pat
         Bundle.load(bomb)
 
 
-@pytest.mark.parametrize("header", [b"(" * 9000, b"-" * 9000, b"[" * 60_000], ids=["(", "-", "["])
+_HOSTILE = {
+    "(": b"(" * 9000,
+    "-": b"-" * 9000,
+    "[": b"[" * 60_000,
+    "key": b"{b'descr': '<f4', 'fortran_order': False, 'shape': (1,)}",
+    "dtype": b"{'descr': ((), ()), 'fortran_order': False, 'shape': (1,)}",
+    "comma": b"{'descr': ',f4', 'fortran_order': False, 'shape': (1,)}",
+    "indent": b"if 1:\n   a\n  b\n",
+}
+
+
+@pytest.mark.parametrize("header", _HOSTILE.values(), ids=_HOSTILE)
 def test_a_header_that_is_hostile_python_is_refused(folder: Path, header: bytes) -> None:
     """numpy reads the header of an array as Python text."""
     data = b"\x93NUMPY\x02\x00" + struct.pack("<I", len(header)) + header
