@@ -166,10 +166,12 @@ def prove_by_words(connection: sqlite3.Connection, key: GelBundle, archive: Arch
 
 
 def of_mounted(connection: sqlite3.Connection) -> list[tuple[GelBundle, PartPosition, GelProof]]:
-    """List every bundle that was used on a gel that is mounted now."""
+    """List every bundle that was used on a gel that is mounted now, less those that another one has replaced."""
     rows = connection.execute(
-        "SELECT serial, gel_id, bundle_id, part, position, proven, known_from, gel_proofs.presses, alarms "
-        "FROM gel_proofs JOIN gels USING (serial, gel_id) WHERE removed_ns IS NULL ORDER BY serial, part, position"
+        "SELECT serial, gel_id, gel_proofs.bundle_id, part, position, proven, known_from, gel_proofs.presses, alarms "
+        "FROM gel_proofs JOIN gels USING (serial, gel_id) LEFT JOIN bundles_in_use AS used USING (part, position) "
+        "WHERE removed_ns IS NULL AND coalesce(used.bundle_id, gel_proofs.bundle_id) = gel_proofs.bundle_id "
+        "ORDER BY serial, part, position"
     )
     return [(GelBundle(*row[:3]), PartPosition(*row[3:5]), _proof(row[5:])) for row in rows]
 

@@ -96,6 +96,20 @@ def test_prove_is_refused_until_there_are_enough(database: Path, capsys: pytest.
     assert acts == [("prove_gel", "done"), ("prove_gel", "refused")]
 
 
+def test_a_bundle_that_another_has_replaced_is_named_no_more(
+    database: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nobody can press what would prove it; in use again, it is named again."""
+    bundle_on_a_new_gel(database, 0)
+    named = []
+    for bundle in "cb":
+        with Store(database) as store:
+            store.use_bundle(PartPosition("bolt", "crest"), None, bundle * 64, T0)
+        show(database=database)
+        named.append("(bbbbbbbb) is not yet proven" in capsys.readouterr().out)
+    assert named == [False, True]
+
+
 def test_prove_of_a_part_that_was_not_used_names_those_that_were(database: Path) -> None:
     """A mistyped part proves nothing."""
     bundle_on_a_new_gel(database, 22)
