@@ -63,7 +63,7 @@ class GelProof:
     def sentence(self) -> Sentence:
         """The presses on this gel and their alarms, in words."""
         if self.presses == 0:
-            return Sentence("no press on this gel yet")
+            return Sentence("it has scored no press on this gel yet")
         rate, _ = score_texts(self.rate, PROVEN_RATE, 0, "%")
         return Sentence(
             f"on this gel {self.alarms} of {self.presses} presses alarmed, which allows {rate} of false alarms"

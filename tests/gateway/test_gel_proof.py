@@ -73,7 +73,7 @@ def test_parts_are_refused_where_that_is_configured(replaced: Callable[..., Step
 
         assert (result.verdict, result.score) == (Kind.REJECTED, None)
         assert str(result.reason).startswith("gel_proof: bundle PZ0/pos1")
-        assert "no press on this gel yet" in station.said("state")["unproven"]
+        assert "it has scored no press on this gel yet" in station.said("state")["unproven"]
 
 
 def test_what_people_say_of_presses_ends_it_without_a_request(
