@@ -26,6 +26,7 @@ from edge.messaging.payload_base import PressId
 from edge.model.bundle import Bundle
 from edge.model.bundle_writer import replace_bundle
 from edge.model.inspector import Inspector
+from edge.model.manifest import REGION_WEIGHTS
 from edge.model.trial import try_bundle
 from edge.press_stage import Command, Data, PressStage, StageParts
 from edge.store import gel_proofs
@@ -147,7 +148,7 @@ class DrawnRegionsStage(PressStage):
             _run(["bundle", "regions", str(path), *change, "-o", str(new), "--overwrite", "--threads", "1"])
             try_bundle(new, threads=1)
             made = Bundle.load(new, loaded=trunk)
-            self._inherit_proofs(before.digest, made.digest)
+            self._inherit_proofs(before, made)
             _exchange(path, new, old)
         finally:
             self._drawing.release()
@@ -160,10 +161,18 @@ class DrawnRegionsStage(PressStage):
             "kept": str(old),
         }
 
-    def _inherit_proofs(self, old_id: str, new_id: str) -> None:
-        """Say of the new revision on each gel what is known of the old one: a drawing proves nothing there, and takes
-        no proof away. Errors: StoreError."""
-        change = partial(gel_proofs.inherit, old_id=old_id, new_id=new_id, time_ns=self._clock.time_ns())
+    def _inherit_proofs(self, old: Bundle, new: Bundle) -> None:
+        """Say of the new revision on each gel what is known of the old one: a drawing proves nothing there. Presses
+        prove the new one only where it scores nothing higher, which it may once a region is removed, or is judged,
+        too. Errors: StoreError."""
+        before, now = (bundle.bank.get(REGION_WEIGHTS, np.float32(1)) for bundle in (old, new))
+        change = partial(
+            gel_proofs.inherit,
+            old_id=old.digest,
+            new_id=new.digest,
+            time_ns=self._clock.time_ns(),
+            with_presses=bool((now <= before).all()),
+        )
         self._store.write("taking the proofs of a bundle over to its drawn regions", change)
 
     commands = (

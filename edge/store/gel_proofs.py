@@ -74,14 +74,23 @@ def see(
     return proof
 
 
-def inherit(connection: sqlite3.Connection, old_id: str, new_id: str, time_ns: int) -> None:
-    """Take what is known of a bundle on each gel over to a revision of it that alarms no more often than it."""
+def inherit(
+    connection: sqlite3.Connection, old_id: str, new_id: str, time_ns: int, *, with_presses: bool
+) -> None:
+    """Take what is known of a bundle on each gel over to a revision of it. with_presses: what its presses there gave,
+    too, for one that alarms no more often than it."""
     connection.execute(
         "INSERT OR IGNORE INTO gel_proofs "
         "(serial, gel_id, bundle_id, part, position, proven, known_from, presses, alarms, time_ns) "
-        "SELECT serial, gel_id, ?, part, position, proven, known_from, presses, alarms, ? FROM gel_proofs "
-        "WHERE bundle_id = ?",
-        (new_id, time_ns, old_id),
+        "SELECT serial, gel_id, :new, part, position, CASE WHEN :with OR proven <> :pressed THEN proven END, "
+        "known_from, :with * presses, :with * alarms, :time FROM gel_proofs WHERE bundle_id = :old",
+        {
+            "old": old_id,
+            "new": new_id,
+            "time": time_ns,
+            "with": with_presses,
+            "pressed": Proven.PRESSES.value,
+        },
     )
 
 
@@ -184,7 +193,8 @@ def _used_before(connection: sqlite3.Connection, key: GelBundle) -> tuple[str | 
         (key.serial, key.gel_id),
     ).fetchone()
     used_on = connection.execute(
-        "SELECT gel_id FROM gel_proofs WHERE serial = ? AND bundle_id = ? ORDER BY time_ns DESC LIMIT 1",
+        "SELECT gel_id FROM gel_proofs LEFT JOIN gels USING (serial, gel_id) WHERE serial = ? AND bundle_id = ? "
+        "ORDER BY gels.rowid DESC LIMIT 1",
         (key.serial, key.bundle_id),
     ).fetchone()
     was_in_use = connection.execute(

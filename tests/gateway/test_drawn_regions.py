@@ -138,6 +138,21 @@ def test_a_drawing_proves_nothing_on_a_gel_and_takes_no_proof_away(
     assert store.read("a proof", partial(find, key=key)) == GelProof(proven, known_from, 7, 2)
 
 
+def test_presses_with_a_region_prove_nothing_without_it(station: SteppedStation, tmp_path: Path) -> None:
+    """Where nothing was judged, nothing alarmed. What the bundle says of its own gel holds still."""
+    path, store = tmp_path / "bundles" / "pz0", station.parts.store
+    gel = store.read("a gel", lambda it: it.execute("SELECT serial, gel_id FROM gels").fetchone())
+    known = []
+    for proven, region in ((Proven.PRESSES, "logo"), (Proven.FIRST_USE, "edge")):
+        draw(station, add=region, points_mm=DENT, press_id=newest(station))
+        change = "UPDATE gel_proofs SET proven = ?, known_from = 'it was used', presses = 30, alarms = 1"
+        store.write("a test's proof", lambda it, given=(change, (proven,)): it.execute(*given))
+        draw(station, remove=region)
+        key = GelBundle(*gel, Bundle.load(path).digest)
+        known.append(store.read("a proof", partial(find, key=key)))
+    assert known == [GelProof(None, "it was used"), GelProof(Proven.FIRST_USE, "it was used")]
+
+
 def test_who_draws_before_the_first_revision_loses_neither(station: SteppedStation, tmp_path: Path) -> None:
     """Both regions are in the third revision, and each revision before stays under its own name."""
     first, press = Bundle.load(tmp_path / "bundles" / "pz0").digest, newest(station)

@@ -53,6 +53,17 @@ def test_a_bundle_is_proven_on_its_first_gel_and_not_on_the_next(mounted: Store)
     assert second == GelProof(None, f"it was used on gel {SERIAL}-1")
 
 
+def test_a_drawn_revision_was_used_last_where_the_bundle_was(mounted: Store) -> None:
+    """It has all proofs from one moment on."""
+    for gel in (1, 2):
+        see(mounted, key(gel))
+        mounted.replace_gel(SERIAL, T0 + gel * DAY_NS)
+    drawn = partial(gel_proofs.inherit, old_id="b" * 64, new_id="d" * 64, time_ns=T0, with_presses=True)
+    mounted.write("drawing", drawn)
+
+    assert see(mounted, key(3, "d" * 64)).known_from == f"it was used on gel {SERIAL}-2"
+
+
 def test_a_bundle_that_inspected_before_the_table_was_there_is_unproven_on_a_new_gel(mounted: Store) -> None:
     """Its use is known from the record of bundles in use: a database of an older version has no other."""
     mounted.use_bundle(PART, 1, "b" * 64, T0 + 1)
