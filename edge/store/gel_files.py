@@ -29,7 +29,17 @@ Name = Literal["first", "last", "scars", "drift"]
 KEPT_GELS: Final = 20
 
 # Of a damaged file: EOFError of an empty one; from MemoryError on, of a header, which numpy parses as Python text.
-_DAMAGED: Final = (OSError, EOFError, ValueError, MemoryError, RecursionError, TypeError, tokenize.TokenError)
+_DAMAGED: Final = (
+    OSError,
+    EOFError,
+    ValueError,
+    MemoryError,
+    RecursionError,
+    TypeError,
+    LookupError,
+    SyntaxError,
+    tokenize.TokenError,
+)
 
 
 class GelFiles:

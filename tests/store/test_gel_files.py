@@ -38,6 +38,9 @@ def with_header(text: str) -> bytes:
         with_header("{'descr': '<f4', 'fortran_order': False, 'shape': (4, 4\n"),
         with_header("{'descr': '<f4', b'fortran_order': False, 'shape': (4, 4)}\n"),
         with_header("{'descr': '<f4', 'fortran_order': False, 'shape': (1000000, 1000000)}\n"),
+        with_header("{'descr': ((), ()), 'fortran_order': False, 'shape': (4, 4)}\n"),
+        with_header("{'descr': ',f4', 'fortran_order': False, 'shape': (4, 4)}\n"),
+        with_header("if 1:\n   a\n  b\n"),
         np.zeros((60, 80, 3), np.float32),
     ],
 )
